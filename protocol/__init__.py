@@ -1,0 +1,1 @@
+"""What learner and actors agree on: messages, their bytes, the keys, and the way they travel."""

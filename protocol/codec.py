@@ -1,0 +1,166 @@
+"""Messages to bytes and back: msgpack maps with a schema version, and nothing that can run code.
+
+A message is a map of its fields plus ``"a2s"`` (the schema version) and ``"kind"``. An array is a
+map ``{"dtype", "shape", "data"}`` of little-endian bytes in C order. Sizes are checked before
+anything is decoded, names and types before anything is built. ``docs/protocol.md`` has the details.
+"""
+
+import types
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from typing import Any, TypeVar
+
+import msgpack
+import numpy as np
+
+from a2s.protocol import messages
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.messages import Message
+
+SCHEMA_VERSION = 1
+MIB = 1 << 20
+MAX_BYTES: dict[type, int] = {
+    messages.Hello: MIB,
+    messages.Welcome: MIB,
+    messages.Refusal: MIB,
+    messages.Segment: 16 * MIB,
+    messages.Ack: MIB,
+    messages.Notice: MIB,
+    messages.Weights: 256 * MIB,
+    messages.RecoveryEvent: MIB,
+    messages.ActorStatus: MIB,
+    messages.RunStatus: 16 * MIB,
+}
+_KINDS = {kind.__name__: kind for kind in MAX_BYTES}
+_DTYPE = np.dtype("<f4")
+
+M = TypeVar("M", bound=Message)
+
+
+def encode(message: Message) -> bytes:
+    """Turn a message into bytes.
+
+    Raises:
+        MalformedMessageError: It is larger than a receiver would take.
+    """
+    kind = type(message)
+    body = {"a2s": SCHEMA_VERSION, "kind": kind.__name__, **_to_map(message)}
+    payload: bytes = msgpack.packb(body)
+    _check_size(len(payload), kind)
+    return payload
+
+
+def decode(payload: bytes, *kinds: type[M]) -> M:
+    """Turn bytes into a message of one of the expected kinds.
+
+    Raises:
+        MalformedMessageError: Oversize, not msgpack, another schema version or kind, unknown or
+            missing fields, wrong types, or values that contradict each other.
+    """
+    _check_size(len(payload), *kinds)
+    expected = " or ".join(kind.__name__ for kind in kinds)
+    try:
+        body = msgpack.unpackb(payload, strict_map_key=True)
+    except (ValueError, RecursionError) as error:
+        raise MalformedMessageError(f"{expected}: not msgpack ({error})") from error
+    if not isinstance(body, dict):
+        raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
+    version = body.pop("a2s", None)
+    if version != SCHEMA_VERSION:
+        raise MalformedMessageError(f"peer speaks schema {version!r}, this is {SCHEMA_VERSION}")
+    name = body.pop("kind", None)
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if kind not in kinds:
+        raise MalformedMessageError(f"kind: found {name!r}, expected {expected}")
+    return typing.cast("M", _from_map(body, kind))
+
+
+def _check_size(num_bytes: int, *kinds: type) -> None:
+    limit = max(MAX_BYTES[kind] for kind in kinds)
+    if num_bytes > limit:
+        name = " or ".join(kind.__name__ for kind in kinds)
+        raise MalformedMessageError(f"{name}: found {num_bytes} bytes, expected at most {limit}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    name: str
+    read: Callable[[Any, str], Any]
+
+
+@cache
+def _plan(kind: type) -> tuple[_Field, ...]:
+    hints = typing.get_type_hints(kind)
+    return tuple(_Field(f.name, _reader(hints[f.name])) for f in fields(kind))
+
+
+def _to_map(message: Any) -> dict[str, Any]:
+    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(type(message))}
+
+
+def _to_wire(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value, dtype=_DTYPE)
+        return {"dtype": _DTYPE.str, "shape": list(data.shape), "data": data.tobytes()}
+    if isinstance(value, tuple):
+        return [_to_wire(item) for item in value]
+    return _to_map(value) if is_dataclass(value) else value
+
+
+def _from_map(body: Any, kind: type) -> Any:
+    plan = _plan(kind)
+    names = {f.name for f in plan}
+    if not isinstance(body, dict) or body.keys() != names:
+        found = sorted(map(str, body)) if isinstance(body, dict) else type(body).__name__
+        raise MalformedMessageError(
+            f"{kind.__name__}: found {found}, expected the fields {sorted(names)}"
+        )
+    return kind(**{f.name: f.read(body[f.name], f"{kind.__name__}.{f.name}") for f in plan})
+
+
+def _reader(hint: Any) -> Callable[[Any, str], Any]:
+    """Make the function that checks a decoded value against a field's type."""
+    origin = typing.get_origin(hint)
+    if origin is np.ndarray:
+        return _read_array
+    if origin is typing.Literal:
+        choices = typing.get_args(hint)
+        return lambda value, where: _expect(value in choices, value, where, f"one of {choices}")
+    if origin is types.UnionType:
+        inner = _reader(next(a for a in typing.get_args(hint) if a is not type(None)))
+        return lambda value, where: None if value is None else inner(value, where)
+    if origin is tuple:
+        item = _reader(typing.get_args(hint)[0])
+        return lambda value, where: tuple(
+            item(v, where) for v in _expect(isinstance(value, list), value, where, "an array")
+        )
+    if is_dataclass(hint):
+        return lambda value, _where: _from_map(value, typing.cast("type", hint))
+    if hint is float:
+        return lambda value, where: float(
+            _expect(type(value) in (float, int), value, where, "a number")
+        )
+    return lambda value, where: _expect(type(value) is hint, value, where, hint.__name__)
+
+
+def _expect(condition: bool, value: Any, where: str, expected: str) -> Any:
+    if not condition:
+        raise MalformedMessageError(f"{where}: found {value!r:.80}, expected {expected}")
+    return value
+
+
+def _read_array(value: Any, where: str) -> np.ndarray:
+    _expect(isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}, value, where,
+            "an array map of dtype, shape and data")  # fmt: skip
+    dtype, shape, data = value["dtype"], value["shape"], value["data"]
+    _expect(dtype == _DTYPE.str, dtype, f"{where}: dtype", repr(_DTYPE.str))
+    sizes = isinstance(shape, list) and all(type(n) is int and n >= 0 for n in shape)
+    _expect(sizes and len(shape) <= 2, shape, f"{where}: shape", "at most two sizes")
+    _expect(isinstance(data, bytes), data, f"{where}: data", "bytes")
+    num_bytes = _DTYPE.itemsize
+    for size in shape:
+        num_bytes *= size
+    _expect(len(data) == num_bytes, len(data), f"{where}: data", f"{num_bytes} bytes")
+    return np.frombuffer(data, dtype=_DTYPE).reshape(shape)

@@ -1,0 +1,49 @@
+"""Everything that a2s raises on purpose.
+
+::
+
+    A2SError                    one line: subject, what was found, what was expected, what to do
+    ├── UsageError              the user asked for something impossible; exit code 2
+    ├── UnreachableError        nobody answered before the deadline
+    ├── RefusedError            the learner said no, and why
+    ├── MalformedMessageError   bytes or values that are not a message of this protocol
+    └── RunDirectoryError       a run directory or checkpoint that cannot be used
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class A2SError(Exception):
+    """Root of the tree: expected failures that a user can read and act on."""
+
+
+class UsageError(A2SError):
+    """An option, key or value that cannot be used."""
+
+
+class UnreachableError(A2SError):
+    """A peer did not answer before the deadline."""
+
+
+class RefusedError(A2SError):
+    """The learner refused this peer."""
+
+
+class MalformedMessageError(A2SError):
+    """A message is oversize, undecodable, incomplete or contradicts itself."""
+
+
+class RunDirectoryError(A2SError):
+    """A run directory or a checkpoint is missing, damaged or of another kind."""
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Say which valid name is meant by a wrong one.
+
+    Returns:
+        ``" (did you mean 'gamma'?)"``, or the list of valid names when none is near.
+    """
+    names = sorted(valid)
+    found = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f" (did you mean {found[0]!r}?)" if found else f" (valid: {', '.join(names)})"

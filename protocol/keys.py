@@ -1,0 +1,84 @@
+"""The key expressions of one run; ``docs/protocol.md`` has them as a table.
+
+========================  =====================================================
+``a2s/RUN/hello``         query: Hello -> Welcome or Refusal
+``a2s/RUN/segment``       query: Segment -> Ack
+``a2s/RUN/notice``        publication and query: Notice of the newest weights
+``a2s/RUN/weights``       query: (empty) -> Weights, the newest
+``a2s/RUN/recovery``      publication: RecoveryEvent
+``a2s/RUN/actor/ACTOR``   publication: ActorStatus
+``a2s/RUN/status``        query: (empty) -> RunStatus
+``a2s/RUN/live/...``      liveliness tokens: ``learner``, ``actor/ACTOR``
+========================  =====================================================
+"""
+
+from dataclasses import dataclass
+
+from a2s.protocol.errors import UsageError
+from a2s.protocol.messages import is_name
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of the run with this name.
+
+    Raises:
+        UsageError: The name cannot be part of a key.
+    """
+
+    run: str
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if not is_name(self.run):
+            raise UsageError(
+                f"run name: found {self.run!r}, expected letters, digits and _ . - (at most 96)"
+            )
+
+    def _key(self, rest: str) -> str:
+        return f"a2s/{self.run}/{rest}"
+
+    @property
+    def hello(self) -> str:
+        """Where actors say hello."""
+        return self._key("hello")
+
+    @property
+    def segment(self) -> str:
+        """Where segments go."""
+        return self._key("segment")
+
+    @property
+    def notice(self) -> str:
+        """Where new weights are announced, and may be asked for."""
+        return self._key("notice")
+
+    @property
+    def weights(self) -> str:
+        """Where the newest weights are pulled."""
+        return self._key("weights")
+
+    @property
+    def recovery(self) -> str:
+        """Where recoveries are announced."""
+        return self._key("recovery")
+
+    @property
+    def status(self) -> str:
+        """Where the learner tells how the run goes."""
+        return self._key("status")
+
+    def actor_status(self, actor: str = "*") -> str:
+        """Where an actor, or every one, tells its account."""
+        return self._key(f"actor/{actor}")
+
+    def live_actor(self, actor: str = "*") -> str:
+        """The token of one actor, or of every one."""
+        return self._key(f"live/actor/{actor}")
+
+    @property
+    def live_learner(self) -> str:
+        """The learner's token."""
+        return self._key("live/learner")

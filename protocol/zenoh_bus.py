@@ -1,0 +1,214 @@
+"""The network: one zenoh session with explicit links only, no discovery, no shared memory.
+
+The learner's session is a router (docs/adr/0003), so no other process is needed on either side.
+Why each setting is as it is stands beside it.
+"""
+
+import json
+import logging
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Literal
+
+import zenoh
+
+from a2s.protocol.errors import UnreachableError, UsageError
+from a2s.protocol.transport import Answer, OnMessage, OnPresence
+
+logger = logging.getLogger(__name__)
+
+_ENDPOINT = re.compile(r"(tcp|tls|quic|ws)/[^/?#]+:(?P<port>\d{1,5})|unixsock-stream/.+")
+
+_LINK = {
+    "tx": {
+        # A peer that hangs is noticed after this; shorter gives false alarms on loaded hosts.
+        "lease": 10_000,
+        "keep_alive": 4,
+        "queue": {
+            "congestion_control": {
+                "block": {"wait_before_close": 20_000_000},
+                "drop": {"wait_before_drop": 20_000, "max_wait_before_drop_fragments": 500_000},
+            }
+        },
+    },
+    "rx": {"buffer_size": 1 << 20, "max_message_size": 512 << 20},
+}
+
+
+def _config(mode: Literal["router", "client"], **more: Any) -> zenoh.Config:
+    return zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": mode,
+                "scouting": {
+                    "multicast": {"enabled": False},
+                    "gossip": {"enabled": False},
+                    "delay": 0,  # otherwise opening takes half a second
+                },
+                "transport": {
+                    # Queries over shared memory can be lost (eclipse-zenoh/zenoh #2628).
+                    "shared_memory": {"enabled": False},
+                    "unicast": {"max_sessions": 4096, "accept_pending": 1024},
+                    "link": _LINK,
+                },
+                **more,
+            }
+        )
+    )
+
+
+class ZenohBus:
+    """A peer on the network; see :class:`a2s.protocol.transport.Bus`.
+
+    Made by :meth:`listen` or :meth:`connect`. It must be closed before the interpreter ends, so
+    hold it in a ``with contextlib.closing(...)``.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._declared: list[object] = []
+        self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
+
+    @classmethod
+    def listen(cls, endpoint: str) -> "ZenohBus":
+        """Open the learner's side: a router that listens on ``endpoint``.
+
+        Raises:
+            UsageError: The endpoint is malformed or taken.
+        """
+        _check(endpoint)
+        try:
+            return cls(zenoh.open(_config("router", listen={"endpoints": [endpoint]})))
+        except zenoh.ZError as error:
+            raise UsageError(
+                f"cannot listen on {endpoint}: {_reason(error)}; "
+                "choose another endpoint with --listen tcp/HOST:PORT"
+            ) from None
+
+    @classmethod
+    def connect(
+        cls, endpoint: str, timeout_s: float, waiting: Callable[[float], None] | None = None
+    ) -> "ZenohBus":
+        """Open an actor's side; once open, it finds a restarted learner again by itself.
+
+        Args:
+            endpoint: Where the learner listens.
+            timeout_s: How long to try.
+            waiting: Told the seconds waited so far, after each attempt that failed.
+
+        Raises:
+            UsageError: The endpoint is malformed.
+            UnreachableError: Nobody listens there until the deadline.
+        """
+        _check(endpoint)
+        config = _config(
+            "client",
+            connect={
+                "endpoints": [endpoint],
+                "timeout_ms": 1000,
+                "retry": {
+                    "period_init_ms": 100,
+                    "period_max_ms": 500,
+                    "period_increase_factor": 1.5,
+                },
+            },
+        )
+        begin = time.monotonic()
+        while True:
+            try:
+                return cls(zenoh.open(config))
+            except zenoh.ZError:
+                waited = time.monotonic() - begin
+                if waited >= timeout_s:
+                    raise UnreachableError(
+                        f"no learner at {endpoint} after {waited:.0f} s; "
+                        "start `a2s learner`, or name its endpoint with --connect"
+                    ) from None
+                if waiting is not None:
+                    waiting(waited)
+
+    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
+        """Query ``key``; an error reply, a timeout or silence are all ``None``."""
+        querier = self._queriers.get((key, timeout_s))
+        if querier is None:
+            querier = self._session.declare_querier(key, timeout=timeout_s)
+            self._queriers[key, timeout_s] = querier
+        for reply in querier.get(payload=payload):
+            if reply.ok is not None:
+                return bytes(reply.ok.payload)
+        return None
+
+    def answer(self, key: str, handler: Answer) -> None:
+        """Declare a queryable on ``key``."""
+
+        def on_query(query: zenoh.Query) -> None:
+            with query, _logged(key):
+                payload = b"" if query.payload is None else bytes(query.payload)
+                query.reply(query.key_expr, handler(payload))
+
+        self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
+
+    def publish(self, key: str, payload: bytes) -> None:
+        """Put on ``key``, dropped where a listener cannot keep up: one must not stop the rest."""
+        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+
+    def subscribe(self, key: str, handler: OnMessage) -> None:
+        """Declare a subscriber on ``key``."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            with _logged(key):
+                handler(bytes(sample.payload))
+
+        self._declared.append(self._session.declare_subscriber(key, on_sample))
+
+    def declare_presence(self, key: str) -> None:
+        """Declare a liveliness token."""
+        self._tokens[key] = self._session.liveliness().declare_token(key)
+
+    def withdraw_presence(self, key: str) -> None:
+        """Undeclare a liveliness token."""
+        token = self._tokens.pop(key, None)
+        if token is not None:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+    def watch_presence(self, key: str, handler: OnPresence) -> None:
+        """Subscribe to liveliness tokens, those that are there already included."""
+
+        def on_token(sample: zenoh.Sample) -> None:
+            with _logged(key):
+                handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._declared.append(
+            self._session.liveliness().declare_subscriber(key, on_token, history=True)
+        )
+
+    def close(self) -> None:
+        """Close the session."""
+        if not self._session.is_closed():
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+@contextmanager
+def _logged(key: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception:  # zenoh's thread would print it and go on; it belongs in our log
+        logger.exception("handler failed key=%s", key)
+
+
+def _check(endpoint: str) -> None:
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None or not 0 < int(found["port"] or 1) < 1 << 16:
+        raise UsageError(
+            f"endpoint: found {endpoint!r}, expected PROTOCOL/HOST:PORT, "
+            "for example tcp/127.0.0.1:7447"
+        )
+
+
+def _reason(error: Exception) -> str:
+    """Take what the operating system said out of zenoh's error, for example "Address in use"."""
+    found = re.search(r"\[[^\[]*?: ([^\[\]:]+) \(os error", str(error))
+    return found[1] if found else str(error).split("\n")[0]
