@@ -5,6 +5,8 @@ map ``{"dtype", "shape", "data"}`` of little-endian bytes in C order. Sizes are 
 anything is decoded, names and types before anything is built. ``docs/protocol.md`` has the details.
 """
 
+import itertools
+import reprlib
 import types
 import typing
 from collections.abc import Callable
@@ -35,6 +37,7 @@ MAX_BYTES: dict[type, int] = {
 }
 _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 _DTYPE = np.dtype("<f4")
+_MAX_CONTAINERS = 1 << 16
 
 M = TypeVar("M", bound=Message)
 
@@ -62,19 +65,34 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     _check_size(len(payload), *kinds)
     expected = " or ".join(kind.__name__ for kind in kinds)
     try:
-        body = msgpack.unpackb(payload, strict_map_key=True)
+        body = _unpack(payload)
     except (ValueError, RecursionError) as error:
-        raise MalformedMessageError(f"{expected}: not msgpack ({error})") from error
+        reason = str(error) or "nested too deeply"  # msgpack's StackError says nothing
+        raise MalformedMessageError(f"{expected}: not msgpack ({reason})") from error
     if not isinstance(body, dict):
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
     version = body.pop("a2s", None)
-    if version != SCHEMA_VERSION:
-        raise MalformedMessageError(f"peer speaks schema {version!r}, this is {SCHEMA_VERSION}")
+    if type(version) is not int or version != SCHEMA_VERSION:
+        raise MalformedMessageError(
+            f"peer speaks schema {_brief(version)}, this is {SCHEMA_VERSION}"
+        )
     name = body.pop("kind", None)
     kind = _KINDS.get(name) if isinstance(name, str) else None
     if kind not in kinds:
-        raise MalformedMessageError(f"kind: found {name!r}, expected {expected}")
+        raise MalformedMessageError(f"kind: found {_brief(name)}, expected {expected}")
     return typing.cast("M", _from_map(body, kind))
+
+
+def _unpack(payload: bytes) -> Any:
+    """Unpack, bounding memory: an empty map takes one byte here and 64 in Python."""
+    made = itertools.count(1)
+
+    def count(container: Any) -> Any:
+        if next(made) > _MAX_CONTAINERS:
+            raise ValueError(f"more than {_MAX_CONTAINERS} maps and arrays")
+        return container
+
+    return msgpack.unpackb(payload, strict_map_key=True, object_hook=count, list_hook=count)
 
 
 def _check_size(num_bytes: int, *kinds: type) -> None:
@@ -112,10 +130,11 @@ def _to_wire(value: Any) -> Any:
 def _from_map(body: Any, kind: type) -> Any:
     plan = _plan(kind)
     names = {f.name for f in plan}
-    if not isinstance(body, dict) or body.keys() != names:
-        found = sorted(map(str, body)) if isinstance(body, dict) else type(body).__name__
+    _expect(isinstance(body, dict), body, kind.__name__, "a map of its fields")
+    if body.keys() != names:
+        missing, unknown = sorted(names - body.keys()), sorted(map(str, body.keys() - names))
         raise MalformedMessageError(
-            f"{kind.__name__}: found {found}, expected the fields {sorted(names)}"
+            f"{kind.__name__}: missing fields {missing}, unknown fields {_brief(unknown)}"
         )
     return kind(**{f.name: f.read(body[f.name], f"{kind.__name__}.{f.name}") for f in plan})
 
@@ -147,8 +166,13 @@ def _reader(hint: Any) -> Callable[[Any, str], Any]:
 
 def _expect(condition: bool, value: Any, where: str, expected: str) -> Any:
     if not condition:
-        raise MalformedMessageError(f"{where}: found {value!r:.80}, expected {expected}")
+        raise MalformedMessageError(f"{where}: found {_brief(value)}, expected {expected}")
     return value
+
+
+def _brief(value: Any) -> str:
+    """Show a value of any size and depth in at most 80 characters."""
+    return f"{reprlib.repr(value):.80}"
 
 
 def _read_array(value: Any, where: str) -> np.ndarray:
@@ -156,9 +180,9 @@ def _read_array(value: Any, where: str) -> np.ndarray:
             "an array map of dtype, shape and data")  # fmt: skip
     dtype, shape, data = value["dtype"], value["shape"], value["data"]
     _expect(dtype == _DTYPE.str, dtype, f"{where}: dtype", repr(_DTYPE.str))
-    sizes = isinstance(shape, list) and all(type(n) is int and n >= 0 for n in shape)
-    _expect(sizes and len(shape) <= 2, shape, f"{where}: shape", "at most two sizes")
     _expect(isinstance(data, bytes), data, f"{where}: data", "bytes")
+    sizes = isinstance(shape, list) and all(type(n) is int and 0 <= n <= len(data) for n in shape)
+    _expect(sizes and len(shape) <= 2, shape, f"{where}: shape", "at most two sizes that fit data")
     num_bytes = _DTYPE.itemsize
     for size in shape:
         num_bytes *= size

@@ -32,7 +32,7 @@ def is_name(text: str) -> bool:
 
 def _require(condition: bool, subject: str, found: object, expected: str) -> None:
     if not condition:
-        raise MalformedMessageError(f"{subject}: found {found}, expected {expected}")
+        raise MalformedMessageError(f"{subject}: found {found!s:.100}, expected {expected}")
 
 
 def _require_finite(subject: str, **arrays: Array) -> None:

@@ -19,6 +19,8 @@ from a2s.protocol.transport import Answer, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
 
+_PATIENCE_S = 10.0
+
 _ENDPOINT = re.compile(r"(tcp|tls|quic|ws)/[^/?#]+:(?P<port>\d{1,5})|unixsock-stream/.+")
 
 _LINK = {
@@ -89,19 +91,16 @@ class ZenohBus:
             ) from None
 
     @classmethod
-    def connect(
-        cls, endpoint: str, timeout_s: float, waiting: Callable[[float], None] | None = None
-    ) -> "ZenohBus":
+    def connect(cls, endpoint: str, proceed: Callable[[], bool]) -> "ZenohBus":
         """Open an actor's side; once open, it finds a restarted learner again by itself.
 
         Args:
             endpoint: Where the learner listens.
-            timeout_s: How long to try.
-            waiting: Told the seconds waited so far, after each attempt that failed.
+            proceed: Asked after each attempt of about a second; when false, the last one was.
 
         Raises:
             UsageError: The endpoint is malformed.
-            UnreachableError: Nobody listens there until the deadline.
+            UnreachableError: Nobody listens there.
         """
         _check(endpoint)
         config = _config(
@@ -116,19 +115,20 @@ class ZenohBus:
                 },
             },
         )
-        begin = time.monotonic()
+        begin = said = time.monotonic()
         while True:
             try:
                 return cls(zenoh.open(config))
             except zenoh.ZError:
-                waited = time.monotonic() - begin
-                if waited >= timeout_s:
+                now = time.monotonic()
+                nobody = f"no learner at {endpoint} after {now - begin:.0f} s"
+                if not proceed():
                     raise UnreachableError(
-                        f"no learner at {endpoint} after {waited:.0f} s; "
-                        "start `a2s learner`, or name its endpoint with --connect"
+                        f"{nobody}; start `a2s learner`, or name its endpoint with --connect"
                     ) from None
-                if waiting is not None:
-                    waiting(waited)
+                if now - said >= _PATIENCE_S:
+                    said = now
+                    logger.warning("%s; still trying, start `a2s learner` there", nobody)
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Query ``key``; an error reply, a timeout or silence are all ``None``."""

@@ -1,0 +1,210 @@
+"""One actor: join the run, then play and send until told to stop."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+
+from a2s.actors.environment import Environment
+from a2s.actors.metrics import Tally
+from a2s.actors.newest import Newest
+from a2s.actors.rollout import Rollout
+from a2s.actors.spool import Spool
+from a2s.actors.suggester import Suggester
+from a2s.protocol.codec import decode, encode
+from a2s.protocol.errors import RefusedError
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Spaces, Welcome
+from a2s.protocol.transport import Bus
+
+logger = logging.getLogger(__name__)
+
+_ASK_TIMEOUT_S = 5.0
+_ASK_AGAIN_S = 0.2
+_STATUS_EVERY_S = 1.0
+_DRAIN_S = 5.0
+_PATIENCE_S = 10.0
+
+
+class Actor:
+    """One actor of a run.
+
+    Args:
+        name: Unique among the actors of the run, and new for every process.
+        bus: A connection to the learner.
+        run: Name of the run.
+        num_envs: Environments to step; ``None`` leaves it to the learner.
+        spool_steps: Steps that may wait for an answer.
+        tally: Where everything is counted.
+        stopped: Set when the actor is to stop.
+        report: Called about once a second.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        bus: Bus,
+        run: str,
+        num_envs: int | None,
+        spool_steps: int,
+        tally: Tally,
+        stopped: threading.Event,
+        report: Callable[[], None],
+    ) -> None:
+        self._name = name
+        self._bus = bus
+        self._keys = Keys(run)
+        self._num_envs = num_envs
+        self._tally = tally
+        self._stopped = stopped
+        self._report = report
+        self._newest = Newest(bus, self._keys)
+        self._spool = Spool(bus, self._keys.segment, spool_steps, self._newest.hear, tally)
+        self._welcome: Welcome | None = None
+        self._notice: Notice | None = None
+        self._rollout: Rollout | None = None
+        self._last_status_s = 0.0
+        self._waiting_said_s = 0.0
+        self._waiting_since_s: float | None = None
+
+    def run(self) -> None:
+        """Play until stopped.
+
+        Raises:
+            RefusedError: The learner refuses this actor.
+            UsageError: The environment cannot be made here.
+            A2SError: The environment is broken.
+        """
+        self._bus.declare_presence(self._keys.live_actor(self._name))
+        try:
+            task = self._hello(Hello(actor=self._name, num_envs=0, env_id="", spaces=None))
+            if task is not None:
+                self._play(task)
+        finally:
+            left = self._spool.close(_DRAIN_S if self._stopped.is_set() else 0.0)
+            self._publish_status(leaving=True)
+            if left:
+                logger.warning("segments never answered actor=%s segments=%d", self._name, left)
+
+    def _play(self, task: Welcome) -> None:
+        num_envs = self._num_envs or task.num_envs
+        environments = [Environment(task.env_id) for _ in range(num_envs)]
+        spaces = environments[0].spaces
+        welcome = self._join(task.env_id, num_envs, spaces)
+        suggester: Suggester | None = None
+        with closing(_All(environments)):
+            while welcome is not None:
+                if self._rollout is None:
+                    self._rollout = Rollout(self._name, environments, welcome.seed, self._tally)
+                known = self._notice if welcome.clock == "lockstep" else None
+                notice = self._newest.other_than(known, self._proceed)
+                if notice is None:
+                    return
+                if notice.generation != welcome.generation:
+                    welcome = self._join(task.env_id, num_envs, spaces)
+                    continue
+                if self._notice is None or notice.identity != self._notice.identity:
+                    suggester = self._pull() or suggester
+                if suggester is not None and self._notice is not None:
+                    self._send(suggester, self._notice, self._rollout)
+
+    def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:
+        def interrupted() -> bool:
+            return not self._proceed() or self._newest.overrules(notice)
+
+        self._waiting_since_s = None
+        for segment in rollout.play(suggester, notice, interrupted):
+            while not self._spool.put(segment, timeout_s=_STATUS_EVERY_S) and self._proceed():
+                self._say_waiting("room in the spool: the learner does not answer segments")
+            self._waiting_since_s = None
+
+    def _join(self, env_id: str, num_envs: int, spaces: Spaces) -> Welcome | None:
+        welcome = self._hello(
+            Hello(actor=self._name, num_envs=num_envs, env_id=env_id, spaces=spaces)
+        )
+        if welcome is not None:
+            self._welcome = welcome
+            self._tally.count("joins")
+            logger.info(
+                "joined run=%s generation=%d slot=%d env=%s envs=%d",
+                welcome.run, welcome.generation, welcome.slot, env_id, num_envs,
+            )  # fmt: skip
+        return welcome
+
+    def _hello(self, hello: Hello) -> Welcome | None:
+        payload = encode(hello)
+        while self._proceed():
+            reply = self._bus.ask(self._keys.hello, payload, _ASK_TIMEOUT_S)
+            if reply is None:
+                self._say_waiting(f"the learner of run {self._keys.run!r} to answer a hello")
+                self._stopped.wait(_ASK_AGAIN_S)
+                continue
+            answer = decode(reply, Welcome, Refusal)
+            if isinstance(answer, Refusal):
+                raise RefusedError(f"the learner refused this actor: {answer.reason}")
+            assert isinstance(answer, Welcome)
+            self._waiting_since_s = None
+            return answer
+        return None
+
+    def _pull(self) -> Suggester | None:
+        weights = self._newest.pull()
+        if weights is None:
+            self._stopped.wait(_ASK_AGAIN_S)
+            return None
+        before, self._notice = self._notice, weights.notice
+        if before is not None and weights.notice.epoch > before.epoch:
+            self._tally.count("recovery_events", weights.notice.epoch - before.epoch)
+        self._tally.gauge("weights_version", weights.notice.version)
+        self._tally.gauge("epoch", weights.notice.epoch)
+        self._tally.gauge("weights_received_timestamp_seconds", time.time())
+        self._tally.count("weights_received_bytes", len(weights.graph))
+        return Suggester(weights.graph)
+
+    def _proceed(self) -> bool:
+        """Report when it is time to, and say whether to go on."""
+        now_s = time.monotonic()
+        if now_s - self._last_status_s >= _STATUS_EVERY_S:
+            self._last_status_s = now_s
+            self._publish_status(leaving=False)
+            self._report()
+        return not self._stopped.is_set()
+
+    def _publish_status(self, *, leaving: bool) -> None:
+        if self._welcome is None:
+            return
+        status = ActorStatus(
+            actor=self._name,
+            slot=self._welcome.slot,
+            weights_version=self._notice.version if self._notice else 0,
+            epoch=self._notice.epoch if self._notice else 0,
+            env_steps=int(self._tally.total("env_steps")),
+            episodes=int(self._tally.total("episodes")),
+            segments_sent=self._rollout.segments_made if self._rollout else 0,
+            segments_answered=self._spool.answered,
+            spooled_steps=self._spool.steps,
+            leaving=leaving,
+        )
+        self._bus.publish(self._keys.actor_status(self._name), encode(status))
+
+    def _say_waiting(self, what: str) -> None:
+        now_s = time.monotonic()
+        if self._waiting_since_s is None:
+            self._waiting_since_s = self._waiting_said_s = now_s
+        elif now_s - self._waiting_said_s >= _PATIENCE_S:
+            self._waiting_said_s = now_s
+            logger.warning(
+                "waiting for %s for %.0f s; is `a2s learner` running?",
+                what, now_s - self._waiting_since_s,
+            )  # fmt: skip
+
+
+class _All:
+    def __init__(self, environments: list[Environment]) -> None:
+        self._environments = environments
+
+    def close(self) -> None:
+        for environment in self._environments:
+            environment.close()

@@ -1,0 +1,96 @@
+"""The newest weights: announced by the learner, remembered here, pulled when they are wanted."""
+
+import hashlib
+import threading
+from collections.abc import Callable
+
+from a2s.protocol.codec import decode
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import Ack, Notice, Weights
+from a2s.protocol.transport import Bus
+
+_ASK_TIMEOUT_S = 5.0
+_ASK_EVERY_S = 1.0
+
+
+class Newest:
+    """A slot for the newest notice; older ones are never seen.
+
+    An announcement can be lost, so whoever waits also asks, once a second.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self._bus = bus
+        self._keys = keys
+        self._changed = threading.Condition()
+        self._notice: Notice | None = None
+        self._asking = True
+        bus.subscribe(keys.notice, lambda payload: self._take(decode(payload, Notice)))
+
+    def hear(self, ack: Ack) -> None:
+        """Learn from an answer that there is something newer, and have it asked for."""
+        with self._changed:
+            known = self._notice
+            if known is None or (ack.generation, ack.weights_version) > known.identity:
+                self._asking = True
+                self._changed.notify_all()
+
+    def overrules(self, notice: Notice) -> bool:
+        """Whether the learner has recovered or restarted since these weights."""
+        known = self._notice
+        return known is not None and (
+            (known.generation, known.epoch) > (notice.generation, notice.epoch)
+        )
+
+    def other_than(self, notice: Notice | None, proceed: Callable[[], bool]) -> Notice | None:
+        """Wait for weights other than these.
+
+        Args:
+            notice: What is known; ``None`` takes any.
+            proceed: Asked at least once a second; when false, the wait ends.
+
+        Returns:
+            The newest notice, or ``None`` when told not to proceed.
+        """
+        known = None if notice is None else notice.identity
+        while proceed():
+            with self._changed:
+                asking, self._asking = self._asking, False
+            if asking:
+                self._ask()
+            with self._changed:
+                if self._notice is not None and self._notice.identity != known:
+                    return self._notice
+                if not self._asking and not self._changed.wait(timeout=_ASK_EVERY_S):
+                    self._asking = True
+        return None
+
+    def pull(self) -> Weights | None:
+        """Fetch the newest weights.
+
+        Returns:
+            The weights, or ``None`` when the learner did not answer or the bytes are damaged.
+        """
+        reply = self._bus.ask(self._keys.weights, b"", _ASK_TIMEOUT_S)
+        if not reply:
+            return None
+        try:
+            weights = decode(reply, Weights)
+        except MalformedMessageError:
+            return None
+        if hashlib.sha256(weights.graph).hexdigest() != weights.notice.sha256:
+            return None
+        self._take(weights.notice)
+        return weights
+
+    def _ask(self) -> None:
+        reply = self._bus.ask(self._keys.notice, b"", _ASK_TIMEOUT_S)
+        if reply:
+            self._take(decode(reply, Notice))
+
+    def _take(self, notice: Notice) -> None:
+        with self._changed:
+            if self._notice is None or notice.identity > self._notice.identity:
+                self._notice = notice
+                self._changed.notify_all()

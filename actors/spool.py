@@ -1,0 +1,151 @@
+"""The way out: a bounded spool that keeps every segment until the learner has answered it."""
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from a2s.actors.metrics import Tally
+from a2s.protocol.codec import decode, encode
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.messages import Ack, Segment
+from a2s.protocol.transport import Bus
+
+_ASK_TIMEOUT_S = 10.0
+_BACK_OFF_S = (0.05, 1.0)
+
+
+class _Waiting(NamedTuple):
+    payload: bytes
+    steps: int
+
+
+class Spool:
+    """Sends segments in order, one at a time, each until it is answered.
+
+    At least once on the wire: a segment without an answer is sent again, the same bytes. When the
+    spool is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
+    of filling its memory.
+
+    Args:
+        bus: The connection.
+        key: Where segments go.
+        capacity_steps: Steps that may wait; at least one segment always fits.
+        on_ack: Told every answer, on the sender's thread.
+        tally: Where answers, retries and bytes are counted.
+    """
+
+    def __init__(
+        self, bus: Bus, key: str, capacity_steps: int, on_ack: Callable[[Ack], None], tally: Tally
+    ) -> None:
+        self._bus = bus
+        self._key = key
+        self._capacity_steps = capacity_steps
+        self._on_ack = on_ack
+        self._tally = tally
+        self._waiting: deque[_Waiting] = deque()
+        self._steps = 0
+        self._answered = 0
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._send_all, name="spool")
+        self._thread.start()
+        tally.gauge("outbox_capacity_transitions", capacity_steps)
+
+    @property
+    def steps(self) -> int:
+        """Steps that wait for an answer."""
+        return self._steps
+
+    @property
+    def answered(self) -> int:
+        """Segments that were answered."""
+        return self._answered
+
+    def put(self, segment: Segment, timeout_s: float) -> bool:
+        """Hand over a segment; blocks for at most ``timeout_s`` seconds while the spool is full.
+
+        Returns:
+            Whether it was taken.
+        """
+        item = _Waiting(encode(segment), segment.num_steps)
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._fits(item), timeout=timeout_s):
+                return False
+            self._waiting.append(item)
+            self._steps += item.steps
+            self._changed.notify_all()
+        return True
+
+    def _fits(self, item: _Waiting) -> bool:
+        return not self._waiting or self._steps + item.steps <= self._capacity_steps
+
+    def close(self, timeout_s: float) -> int:
+        """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
+
+        Returns:
+            Segments that were never answered.
+        """
+        deadline = time.monotonic() + timeout_s
+        with self._changed:
+            self._changed.wait_for(lambda: not self._waiting, timeout=timeout_s)
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(timeout=max(0.0, deadline - time.monotonic()) + _ASK_TIMEOUT_S)
+        left = sum(item.steps for item in self._waiting)
+        if left:
+            self._tally.count("dropped_transitions", left, reason="shutdown")
+        return len(self._waiting)
+
+    def _send_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closing or bool(self._waiting))
+                if self._closing:
+                    return
+                item = self._waiting[0]
+            ack = self._send(item)
+            if ack is None:
+                return
+            with self._changed:
+                self._waiting.popleft()
+                self._steps -= item.steps
+                self._answered += 1
+                self._changed.notify_all()
+            self._on_ack(ack)
+            self._pause(ack.wait_s)
+
+    def _send(self, item: _Waiting) -> Ack | None:
+        """Send until answered, or until the spool is closed."""
+        back_off_s, longest_s = _BACK_OFF_S
+        while not self._closing:
+            begin = time.perf_counter()
+            self._tally.gauge("outbox_transitions", self._steps)
+            self._tally.count("messages_sent")
+            self._tally.count("sent_bytes", len(item.payload))
+            reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
+            ack = self._read(reply)
+            if ack is not None:
+                self._tally.observe("send_seconds", time.perf_counter() - begin)
+                self._tally.count("acks", result=ack.verdict)
+                return ack
+            self._tally.count("retries")
+            self._pause(back_off_s * random.uniform(0.5, 1.0))
+            back_off_s = min(back_off_s * 2, longest_s)
+        return None
+
+    @staticmethod
+    def _read(reply: bytes | None) -> Ack | None:
+        if reply is None:
+            return None
+        try:
+            return decode(reply, Ack)
+        except MalformedMessageError:
+            return None
+
+    def _pause(self, seconds: float) -> None:
+        if seconds > 0:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closing, timeout=seconds)

@@ -1,0 +1,96 @@
+"""The only door to ONNX Runtime: the published graph turns observations into actions.
+
+The graph draws nothing itself: whoever runs it passes the noise, and by it chooses the mode
+(docs/protocol.md, "The graph").
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+import onnxruntime
+
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.messages import Array
+
+Mode = Literal["behaviour", "mean", "best-of-k"]
+_TINY = np.float32(1e-20)
+
+
+class Choice(NamedTuple):
+    """What the graph chose for B observations.
+
+    Attributes:
+        action: In the environment's units and bounds, float32 ``[B, A]``.
+        suggestion: The chosen suggestion in canonical units before clipping, ``[B, A]``.
+        log_prob: Its log density under the policy, ``[B]``.
+        q_spread: Highest minus mean Q over the suggestions, ``[B]``.
+    """
+
+    action: Array
+    suggestion: Array
+    log_prob: Array
+    q_spread: Array
+
+
+class Suggester:
+    """One version of the weights, ready to act.
+
+    Args:
+        graph: The ONNX graph, as published.
+        mode: ``behaviour`` acts as in training; ``mean`` executes the policy's mean;
+            ``best-of-k`` lets Q choose among the mean and K - 1 suggestions.
+
+    Raises:
+        MalformedMessageError: The graph cannot be loaded or lacks an input or output.
+    """
+
+    def __init__(self, graph: bytes, mode: Mode = "behaviour") -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(
+                graph, options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # ONNX Runtime's errors have no common root but this
+            raise MalformedMessageError(f"policy graph: cannot be loaded ({error})") from error
+        shapes = {i.name: i.shape for i in self._session.get_inputs()}
+        outputs = {o.name for o in self._session.get_outputs()}
+        if "obs" not in shapes or not outputs.issuperset(Choice._fields):
+            raise MalformedMessageError(
+                f"policy graph: found inputs {sorted(shapes)} and outputs {sorted(outputs)}, "
+                f"expected obs and {list(Choice._fields)}"
+            )
+        self._mode = mode
+        self._normal = tuple(shapes["normal"][1:]) if "normal" in shapes else None
+        self._gumbel = tuple(shapes["gumbel"][1:]) if "gumbel" in shapes else None
+        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def __call__(self, obs: Array, rng: np.random.Generator) -> Choice:
+        """Choose an action for every observation.
+
+        Args:
+            obs: Raw observations, float32 ``[B, D]``.
+            rng: Source of the noise.
+        """
+        feed = {"obs": obs}
+        if self._normal is not None:
+            feed["normal"] = self._draw_normal((len(obs), *self._normal), rng)
+        if self._gumbel is not None:
+            feed["gumbel"] = self._draw_gumbel((len(obs), *self._gumbel), rng)
+        return Choice._make(self._session.run(Choice._fields, feed))
+
+    def _draw_normal(self, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+        if self._mode == "mean":
+            return np.zeros(shape, dtype=np.float32)
+        normal = rng.standard_normal(shape, dtype=np.float32)
+        if self._mode == "best-of-k":
+            normal[:, 0] = 0.0
+        return normal
+
+    def _draw_gumbel(self, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+        if self._mode != "behaviour":
+            return np.zeros(shape, dtype=np.float32)
+        gumbel: Array = -np.log(rng.standard_exponential(shape, dtype=np.float32) + _TINY)
+        return gumbel
