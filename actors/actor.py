@@ -99,7 +99,7 @@ class Actor:
                 if self._rollout is None:
                     self._rollout = Rollout(self._name, environments, welcome.seed, self._tally)
                 known = self._notice if welcome.clock == "lockstep" else None
-                notice = self._newest.other_than(known, self._proceed)
+                notice = self._newest.other_than(known, self._wait_for_weights)
                 if notice is None:
                     return
                 if notice.generation != welcome.generation:
@@ -162,6 +162,10 @@ class Actor:
         self._tally.gauge("weights_received_timestamp_seconds", time.time())
         self._tally.count("weights_received_bytes", len(weights.graph))
         return Suggester(weights.graph)
+
+    def _wait_for_weights(self) -> bool:
+        self._say_waiting("new weights from the learner")
+        return self._proceed()
 
     def _proceed(self) -> bool:
         """Report when it is time to, and say whether to go on."""

@@ -159,7 +159,7 @@ class Fleet(Collector):
             labels = ["worker", described.label] if described.label else ["worker"]
             counter = CounterMetricFamily(f"a2s_actor_{name}", described.help, labels=labels)
             for worker, snapshot in enumerate(now):
-                for value, amount in (snapshot["counters"][name] or {"": 0.0}).items():
+                for value, amount in _known(snapshot["counters"][name], described).items():
                     counter.add_metric([str(worker), value][: len(labels)], amount)
             yield counter
         for name, described in GAUGES.items():
@@ -173,6 +173,11 @@ class Fleet(Collector):
         for worker, amount in enumerate(restarts):
             restarted.add_metric([str(worker)], amount)
         yield restarted
+
+
+def _known(values: dict[str, float], described: _Described) -> dict[str, float]:
+    """A counter without a label is 0 before it is counted; one with a label has no child yet."""
+    return values if values or described.label else {"": 0.0}
 
 
 def _gauge(name: str, help_text: str, values: Sequence[float | None]) -> GaugeMetricFamily:

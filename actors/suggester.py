@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import onnxruntime
 
-from a2s.protocol.errors import MalformedMessageError
-from a2s.protocol.messages import Array
+from a2s.protocol.errors import MalformedMessageError, UsageError
+from a2s.protocol.messages import Array, Spaces
 
 Mode = Literal["behaviour", "mean", "best-of-k"]
 _TINY = np.float32(1e-20)
@@ -56,16 +56,31 @@ class Suggester:
         except Exception as error:  # ONNX Runtime's errors have no common root but this
             raise MalformedMessageError(f"policy graph: cannot be loaded ({error})") from error
         shapes = {i.name: i.shape for i in self._session.get_inputs()}
-        outputs = {o.name for o in self._session.get_outputs()}
-        if "obs" not in shapes or not outputs.issuperset(Choice._fields):
+        outputs = {o.name: o.shape for o in self._session.get_outputs()}
+        if "obs" not in shapes or not outputs.keys() >= set(Choice._fields):
             raise MalformedMessageError(
                 f"policy graph: found inputs {sorted(shapes)} and outputs {sorted(outputs)}, "
                 f"expected obs and {list(Choice._fields)}"
             )
         self._mode = mode
+        self._obs_size = shapes["obs"][-1]
+        self._action_size = outputs["action"][-1]
         self._normal = tuple(shapes["normal"][1:]) if "normal" in shapes else None
         self._gumbel = tuple(shapes["gumbel"][1:]) if "gumbel" in shapes else None
         self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def check(self, spaces: Spaces, env_id: str) -> None:
+        """Check that the graph fits an environment.
+
+        Raises:
+            UsageError: It was made for other sizes.
+        """
+        found = (self._obs_size, self._action_size)
+        if found != (spaces.obs_size, spaces.action_size):
+            raise UsageError(
+                f"policy: found obs_size and action_size {found}, expected "
+                f"{(spaces.obs_size, spaces.action_size)} for {env_id}"
+            )
 
     def __call__(self, obs: Array, rng: np.random.Generator) -> Choice:
         """Choose an action for every observation.

@@ -18,7 +18,11 @@ import msgpack
 import numpy as np
 
 from a2s.protocol import messages
-from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.errors import (
+    MalformedMessageError,
+    OversizeMessageError,
+    SchemaMismatchError,
+)
 from a2s.protocol.messages import Message
 
 SCHEMA_VERSION = 1
@@ -73,7 +77,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
     version = body.pop("a2s", None)
     if type(version) is not int or version != SCHEMA_VERSION:
-        raise MalformedMessageError(
+        raise SchemaMismatchError(
             f"peer speaks schema {_brief(version)}, this is {SCHEMA_VERSION}"
         )
     name = body.pop("kind", None)
@@ -99,7 +103,7 @@ def _check_size(num_bytes: int, *kinds: type) -> None:
     limit = max(MAX_BYTES[kind] for kind in kinds)
     if num_bytes > limit:
         name = " or ".join(kind.__name__ for kind in kinds)
-        raise MalformedMessageError(f"{name}: found {num_bytes} bytes, expected at most {limit}")
+        raise OversizeMessageError(f"{name}: found {num_bytes} bytes, expected at most {limit}")
 
 
 @dataclass(frozen=True, slots=True)

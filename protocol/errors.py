@@ -7,6 +7,8 @@
     ├── UnreachableError        nobody answered before the deadline
     ├── RefusedError            the learner said no, and why
     ├── MalformedMessageError   bytes or values that are not a message of this protocol
+    │   ├── OversizeMessageError    more bytes than a message of this kind may have
+    │   └── SchemaMismatchError     the peer speaks another version of the protocol
     └── RunDirectoryError       a run directory or checkpoint that cannot be used
 """
 
@@ -32,6 +34,14 @@ class RefusedError(A2SError):
 
 class MalformedMessageError(A2SError):
     """A message is oversize, undecodable, incomplete or contradicts itself."""
+
+
+class OversizeMessageError(MalformedMessageError):
+    """A message has more bytes than its kind may have."""
+
+
+class SchemaMismatchError(MalformedMessageError):
+    """The peer speaks another version of the protocol."""
 
 
 class RunDirectoryError(A2SError):

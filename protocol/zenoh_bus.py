@@ -81,7 +81,7 @@ class ZenohBus:
         Raises:
             UsageError: The endpoint is malformed or taken.
         """
-        _check(endpoint)
+        check_endpoint(endpoint)
         try:
             return cls(zenoh.open(_config("router", listen={"endpoints": [endpoint]})))
         except zenoh.ZError as error:
@@ -102,7 +102,7 @@ class ZenohBus:
             UsageError: The endpoint is malformed.
             UnreachableError: Nobody listens there.
         """
-        _check(endpoint)
+        check_endpoint(endpoint)
         config = _config(
             "client",
             connect={
@@ -199,7 +199,12 @@ def _logged(key: str) -> Iterator[None]:
         logger.exception("handler failed key=%s", key)
 
 
-def _check(endpoint: str) -> None:
+def check_endpoint(endpoint: str) -> None:
+    """Refuse what cannot be an endpoint.
+
+    Raises:
+        UsageError: It is not of the form PROTOCOL/HOST:PORT.
+    """
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or not 0 < int(found["port"] or 1) < 1 << 16:
         raise UsageError(

@@ -1,0 +1,251 @@
+"""The command line: parses options and calls; every command imports what it needs when it runs."""
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from a2s import __version__
+from a2s.commands import options
+from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.keys import DEFAULT_ENDPOINT
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+_LOOPBACK = "127.0.0.1"
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Train continuous control with many actors and one learner: the policy suggests, Q picks.",
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _about(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", "-V", callback=_show_version, is_eager=True, help="Show it."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def learner(
+    env: options.Env = None,
+    total_steps: options.TotalSteps = None,
+    seed: options.Seed = None,
+    run: options.Run = None,
+    run_dir: options.RunDir = None,
+    resume: options.Resume = False,
+    config: options.Config = None,
+    variant: options.Variant = None,
+    algo: options.Algo = None,
+    preset: options.Preset = None,
+    suggestions: options.Suggestions = None,
+    settings: options.Set = None,
+    lockstep: options.Lockstep = None,
+    print_config: options.PrintConfig = False,
+    n: options.N = None,
+    envs: options.Envs = None,
+    threads: options.Threads = None,
+    listen: options.Listen = None,
+    metrics_port: options.MetricsPort = None,
+    metrics_host: options.MetricsHost = _LOOPBACK,
+    json_: options.Json = False,
+) -> None:
+    """Start the learner of a run; actors join it."""
+    _require_learner()
+    from a2s.commands.configure import configure
+
+    given = {
+        "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
+        "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
+        "n": n, "envs": envs, "threads": threads,
+    }  # fmt: skip
+    configuration, path = configure(given, settings, config, run_dir, resume=resume)
+    if print_config:
+        typer.echo(configuration.explain())
+        return
+    from a2s.commands.learner import learn
+
+    raise typer.Exit(
+        learn(
+            configuration,
+            path,
+            listen=listen,
+            metrics_host=metrics_host,
+            metrics_port=metrics_port,
+            resume=resume,
+            as_json=json_,
+        )
+    )
+
+
+@app.command()
+def actor(
+    n: options.N = None,
+    envs: options.Envs = None,
+    run: options.Run = None,
+    connect: options.Connect = DEFAULT_ENDPOINT,
+    spool_steps: Annotated[
+        int,
+        typer.Option(
+            envvar="A2S_SPOOL_STEPS",
+            min=1,
+            help="Steps that each process keeps while the learner is away.",
+        ),
+    ] = 65_536,
+    metrics_port: options.MetricsPort = None,
+    metrics_host: options.MetricsHost = _LOOPBACK,
+) -> None:
+    """Start supervised actor processes that join a run; the learner tells them everything else."""
+    from a2s.commands.actor import act
+
+    raise typer.Exit(
+        act(
+            n=n or 1,
+            envs=envs,
+            run=run or "default",
+            connect=connect,
+            spool_steps=spool_steps,
+            metrics_host=metrics_host,
+            metrics_port=metrics_port,
+        )
+    )
+
+
+@app.command()
+def train(
+    env: options.Env = None,
+    total_steps: options.TotalSteps = None,
+    seed: options.Seed = None,
+    run: options.Run = None,
+    run_dir: options.RunDir = None,
+    resume: options.Resume = False,
+    config: options.Config = None,
+    variant: options.Variant = None,
+    algo: options.Algo = None,
+    preset: options.Preset = None,
+    suggestions: options.Suggestions = None,
+    settings: options.Set = None,
+    lockstep: options.Lockstep = None,
+    print_config: options.PrintConfig = False,
+    n: options.N = None,
+    envs: options.Envs = None,
+    threads: options.Threads = None,
+    listen: options.Listen = None,
+    metrics_port: options.MetricsPort = None,
+    episodes: options.Episodes = 10,
+    mode: options.Mode = "mean",
+    weights: options.WhichWeights = "latest",
+    json_: options.Json = False,
+) -> None:
+    """Train on this machine: a learner and its actors, then an evaluation and a curve."""
+    _require_learner()
+    from a2s.commands.configure import configure
+
+    given = {
+        "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
+        "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
+        "n": n, "envs": envs, "threads": threads,
+    }  # fmt: skip
+    configuration, path = configure(
+        given, settings, config, run_dir, resume=resume, defaults={"n": 2}
+    )
+    if print_config:
+        typer.echo(configuration.explain())
+        return
+    from a2s.commands.train import train as train_here
+
+    raise typer.Exit(
+        train_here(
+            configuration,
+            path,
+            listen=listen,
+            metrics_port=metrics_port,
+            resume=resume,
+            as_json=json_,
+            evaluation={
+                "episodes": episodes,
+                "mode": mode,
+                "weights": weights,
+                "seed": configuration.run.seed,
+            },
+        )
+    )
+
+
+@app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],
+    env: options.Env = None,
+    episodes: options.Episodes = 10,
+    mode: options.Mode = "mean",
+    weights: options.WhichWeights = "latest",
+    seed: options.Seed = None,
+    json_: options.Json = False,
+) -> None:
+    """Play fresh episodes with a trained policy."""
+    from a2s.commands.evaluate import evaluate_run
+
+    result = evaluate_run(run, env, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
+    if json_:
+        typer.echo(json.dumps(result))
+    else:
+        typer.echo(
+            f"{result['env']}: {result['mean']:.1f} +- {result['std']:.1f} over {episodes} "
+            f"episodes ({mode}); from {min(result['returns']):.1f} to {max(result['returns']):.1f}"
+        )
+
+
+@app.command()
+def plot(
+    runs: Annotated[list[Path], typer.Argument(help="Run directories.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", envvar="A2S_OUTPUT", help="Picture to write.")
+    ] = Path("curves.png"),
+) -> None:
+    """Draw learning curves: every seed light, their mean with a moving average of 3."""
+    _require_learner()
+    from a2s.commands.plot import plot as draw
+
+    draw(runs, output)
+    typer.echo(f"{output}")
+
+
+def _require_learner() -> None:
+    missing = [m for m in ("torch", "onnx", "safetensors", "matplotlib") if not _installed(m)]
+    if missing:
+        raise UsageError(
+            f"this command needs {', '.join(missing)}; install them: pip install 'a2s[learner]'"
+        )
+
+
+def _installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def main() -> None:
+    """Run the command line; what is expected to go wrong is one line on standard error."""
+    try:
+        app()
+    except A2SError as error:
+        sys.stderr.write(f"a2s: {error}\n")
+        sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The learning side: gathers segments, fits the networks, recovers, publishes, remembers."""

@@ -1,0 +1,242 @@
+"""Policy, Q and value networks, and the normaliser of what they see.
+
+All three share one body, and one form: ``E`` networks of equal sizes that are evaluated together,
+``E = 1`` but for two critics. Whoever calls them normalises the observations first, once.
+
+Source: section 5 and table 3 of the paper (64-64, Q 128-64, fixed standard deviation); layer
+normalisation before the non-linearity as in the authors' code.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
+
+from a2s.learner.algorithm.hyperparameters import Activation, Init, OnPolicyHyper
+
+ACTIVATIONS: dict[Activation, Callable[[Tensor], Tensor]] = {
+    "tanh": torch.tanh,
+    "silu": F.silu,
+    "relu": torch.relu,
+}
+LAYER_NORM_EPS = 1e-5
+OBS_LIMIT = 10.0
+
+
+class Normaliser(nn.Module):
+    """Running mean and standard deviation of observations.
+
+    Buffers: ``mean`` and ``variance``, float64 ``[D]``; ``count``, float64 ``[]``. Before the first
+    observation they are 0, 1, 0. When not enabled, observations pass as they are.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, size: int, *, enabled: bool) -> None:
+        super().__init__()
+        self.enabled = enabled
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    @torch.no_grad()
+    def update(self, obs: Tensor) -> None:
+        """Take observations, float32 ``[N, D]``, into account."""
+        if not self.enabled:
+            return
+        added = float(len(obs))
+        variance, mean = torch.var_mean(obs.double(), dim=0, correction=0)
+        total = self.count + added
+        shift = mean - self.mean
+        spread = self.variance * self.count + variance * added
+        spread += shift.square() * self.count * added / total
+        self.mean += shift * added / total
+        self.variance.copy_(spread / total)
+        self.count.copy_(total)
+
+    def constants(self) -> tuple[Tensor, Tensor]:
+        """The mean to subtract and the factor to multiply by, float32 ``[D]`` each."""
+        return self.mean.float(), (self.variance + 1e-8).rsqrt().float()
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Normalise and limit to +-10: float32 ``[N, D]`` to ``[N, D]``."""
+        if not self.enabled:
+            return obs
+        mean, factor = self.constants()
+        return ((obs - mean) * factor).clamp(-OBS_LIMIT, OBS_LIMIT)
+
+
+class Body(nn.Module):
+    """Linear, layer normalisation (optional), non-linearity for each hidden layer; then Linear.
+
+    Args:
+        sizes: Units of input, hidden layers and output.
+        members: E, networks evaluated together.
+        hyper: Gives activation, layer_norm and init.
+        output_gain: Gain of the output layer in the init ``orthogonal``.
+        generator: Draws the first weights.
+    """
+
+    def __init__(
+        self,
+        sizes: Sequence[int],
+        *,
+        members: int,
+        hyper: OnPolicyHyper,
+        output_gain: float,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        self.members = members
+        self.layer_norm = hyper.layer_norm
+        self.activation = hyper.activation
+        self._activate = ACTIVATIONS[hyper.activation]
+        gains = [math.sqrt(2.0)] * (len(sizes) - 2) + [output_gain]
+        weight, bias = [], []
+        for index, (rows, columns, gain) in enumerate(
+            zip(sizes[:-1], sizes[1:], gains, strict=True)
+        ):
+            limit = 1.0 if index < len(sizes) - 2 else 0.1
+            drawn = torch.empty(members, rows, columns)
+            _draw(drawn, hyper.init, limit, gain, generator)
+            weight.append(nn.Parameter(drawn))
+            bias.append(nn.Parameter(torch.zeros(members, 1, columns)))
+        self.weight = nn.ParameterList(weight)
+        self.bias = nn.ParameterList(bias)
+        hidden = sizes[1:-1] if hyper.layer_norm else ()
+        self.gain = nn.ParameterList([nn.Parameter(torch.ones(members, 1, n)) for n in hidden])
+        self.offset = nn.ParameterList([nn.Parameter(torch.zeros(members, 1, n)) for n in hidden])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map inputs ``[N, in]`` to outputs ``[E, N, out]``."""
+        rows = x.expand(self.members, *x.shape)
+        return self.after_first(torch.baddbmm(self.bias[0], rows, self.weight[0]))
+
+    def after_first(self, x: Tensor) -> Tensor:
+        """Go on from the sums of the first layer, ``[E, N, hidden]``, to ``[E, N, out]``."""
+        for index in range(1, len(self.weight)):
+            if self.layer_norm:
+                x = _layer_norm(x, self.gain[index - 1], self.offset[index - 1])
+            x = torch.baddbmm(self.bias[index], self._activate(x), self.weight[index])
+        return x
+
+
+class Policy(nn.Module):
+    """A Gaussian: the mean is a network's, the standard deviation the same everywhere.
+
+    Attributes:
+        log_std: Float32 ``[A]``; a parameter when learned, else a buffer.
+    """
+
+    log_std: Tensor
+
+    def __init__(
+        self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+    ) -> None:
+        super().__init__()
+        sizes = (obs_size, *hyper.policy_sizes, action_size)
+        self.body = Body(sizes, members=1, hyper=hyper, output_gain=0.01, generator=generator)
+        log_std = torch.full((action_size,), math.log(hyper.std))
+        if hyper.learn_std:
+            self.log_std = nn.Parameter(log_std)
+        else:
+            self.register_buffer("log_std", log_std)
+        self.log_floor = math.log(hyper.std_floor) if hyper.std_floor > 0 else -math.inf
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Mean action, canonical, of normalised observations: ``[N, D]`` to ``[N, A]``."""
+        mean: Tensor = self.body(obs)
+        return mean.squeeze(0)
+
+    def std(self) -> Tensor:
+        """Standard deviation, ``[A]``."""
+        return self.log_std.exp()
+
+    @torch.no_grad()
+    def hold_floor(self) -> None:
+        """Lift the standard deviation to its floor, so that its gradient lives on there."""
+        if isinstance(self.log_std, nn.Parameter):
+            self.log_std.clamp_(min=self.log_floor)
+
+
+class Value(nn.Module):
+    """V: what is to be expected from an observation on."""
+
+    def __init__(self, obs_size: int, hyper: OnPolicyHyper, generator: torch.Generator) -> None:
+        super().__init__()
+        sizes = (obs_size, *hyper.value_sizes, 1)
+        self.body = Body(sizes, members=1, hyper=hyper, output_gain=1.0, generator=generator)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Values of normalised observations, in normalised returns: ``[N, D]`` to ``[N]``."""
+        value: Tensor = self.body(obs)
+        return value.flatten()
+
+
+class Q(nn.Module):
+    """One or two critics of an observation and an action."""
+
+    def __init__(
+        self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+    ) -> None:
+        super().__init__()
+        sizes = (obs_size + action_size, *hyper.q_sizes, 1)
+        self.obs_size = obs_size
+        self.members = hyper.critics
+        self.combine = hyper.critic_score
+        self.body = Body(
+            sizes, members=hyper.critics, hyper=hyper, output_gain=1.0, generator=generator
+        )
+
+    def forward(self, joint: Tensor) -> Tensor:
+        """Values of normalised observations joined with actions: ``[N, D + A]`` to ``[E, N]``."""
+        value: Tensor = self.body(joint)
+        return value.squeeze(-1)
+
+    def combined(self, value: Tensor) -> Tensor:
+        """One score from those of the critics: ``[E, ...]`` to ``[...]``."""
+        if self.members == 1:
+            return value[0]
+        return value.amin(0) if self.combine == "min" else value.mean(0)
+
+    def score(self, obs: Tensor, action: Tensor) -> Tensor:
+        """Score K actions for every observation; the observation's part is computed once.
+
+        Args:
+            obs: Normalised observations, ``[B, D]``.
+            action: Actions as Q sees them, ``[B, K, A]``.
+
+        Returns:
+            Scores in normalised returns, ``[B, K]``.
+        """
+        rows, count, _ = action.shape
+        first, bias = self.body.weight[0], self.body.bias[0]
+        seen = torch.baddbmm(bias, obs.expand(self.members, *obs.shape), first[:, : self.obs_size])
+        done = action.flatten(0, 1).expand(self.members, rows * count, -1)
+        acted = torch.bmm(done, first[:, self.obs_size :])
+        both = acted.view(self.members, rows, count, -1) + seen.unsqueeze(2)
+        value: Tensor = self.body.after_first(both.flatten(1, 2))
+        return self.combined(value.view(self.members, rows, count))
+
+
+def _layer_norm(x: Tensor, gain: Tensor, offset: Tensor) -> Tensor:
+    """Normalise ``[E, N, hidden]``; gain and offset are ``[E, 1, hidden]``, one kernel if E = 1."""
+    width = x.shape[-1:]
+    if len(gain) == 1:
+        return F.layer_norm(x, width, gain.view(-1), offset.view(-1), LAYER_NORM_EPS)
+    return torch.addcmul(offset, F.layer_norm(x, width, eps=LAYER_NORM_EPS), gain)
+
+
+def _draw(
+    weight: Tensor, init: Init, limit: float, gain: float, generator: torch.Generator
+) -> None:
+    """Fill a layer's weights ``[E, in, out]`` with their first values."""
+    if init == "uniform":
+        nn.init.uniform_(weight, -limit, limit, generator=generator)
+    else:
+        for member in weight:
+            nn.init.orthogonal_(member, gain=gain, generator=generator)

@@ -1,0 +1,184 @@
+"""The policy gradient: advantages, losses, and the passes over the batch.
+
+A step has ``J`` actions that weigh in: the executed suggestion alone, or K fresh ones.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.distil import distil_loss
+from a2s.learner.algorithm.fit import num_chunks
+from a2s.learner.algorithm.hyperparameters import OnPolicyHyper, PolicyLoss
+from a2s.learner.algorithm.networks import Policy
+from a2s.learner.algorithm.optimiser import Adam
+from a2s.learner.algorithm.step_size import gaussian_kl
+
+HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PolicyData:
+    """What the policy learns from.
+
+    Attributes:
+        obs: Normalised, ``[N, D]``.
+        action: Suggestions, not clipped, ``[N, J, A]``.
+        log_prob: Their log density when they were drawn, ``[N, J]``.
+        advantage: ``[N, J]``.
+        mean: Of the policy that the KL divergence is measured from, ``[N, A]``.
+        log_std: Of the same policy, ``[A]``.
+        distil_target: mu^Q of equation 6 where it is learned jointly, ``[N, A]``.
+    """
+
+    obs: Tensor
+    action: Tensor
+    log_prob: Tensor
+    advantage: Tensor
+    mean: Tensor
+    log_std: Tensor
+    distil_target: Tensor | None
+
+
+class Improvement(NamedTuple):
+    """Mean losses of the last pass, passes made, and the KL divergence after it, joint."""
+
+    policy_loss: float
+    distil_loss: float
+    epochs: int
+    kl: float
+
+
+def log_density(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
+    """Log density of a diagonal Gaussian: ``[M, A]``, ``[A]``, ``[M, J, A]`` to ``[M, J]``."""
+    z = (action - mean.unsqueeze(1)) * (-log_std).exp()
+    return -0.5 * z.square().sum(2) - (log_std + HALF_LOG_2PI).sum()
+
+
+def entropy(log_std: Tensor) -> Tensor:
+    """Differential entropy of the policy in nats, a scalar; the same in every state."""
+    return (log_std + HALF_LOG_2PI + 0.5).sum()
+
+
+def normalised(advantage: Tensor) -> Tensor:
+    """Advantages of a batch with mean 0 and standard deviation 1."""
+    return (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
+
+
+def advantage_over_others(q_value: Tensor) -> Tensor:
+    """How much better each suggestion is than the mean of the others: ``[N, K]`` to ``[N, K]``.
+
+    With suggestions drawn from the policy, ``mean_k grad log pi(u_k) * advantage_k`` is an
+    unbiased policy gradient, given Q: the baseline of a suggestion does not depend on it.
+    """
+    count = q_value.shape[1]
+    if count == 1:
+        return torch.zeros_like(q_value)
+    return (q_value - q_value.mean(1, keepdim=True)) * (count / (count - 1))
+
+
+def policy_loss(
+    kind: PolicyLoss, log_prob: Tensor, old_log_prob: Tensor, advantage: Tensor, clip: float
+) -> Tensor:
+    """Loss whose gradient is minus the policy gradient, a scalar.
+
+    Args:
+        kind: ``score`` or ``clip``.
+        log_prob: Of the present policy, ``[M, J]``.
+        old_log_prob: When the suggestions were drawn, ``[M, J]``; only ``clip`` reads it.
+        advantage: ``[M, J]``.
+        clip: Epsilon of ``clip``.
+
+    Source: equation 4 of the paper (``score``; the authors' mean over dimensions differs by a
+    factor, which Adam undoes); Schulman et al. 2017, equation 7 (``clip``).
+    """
+    if kind == "score":
+        return -(log_prob * advantage).mean()
+    ratio = (log_prob - old_log_prob).exp()
+    limited = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return -torch.minimum(ratio * advantage, limited * advantage).mean()
+
+
+@torch.no_grad()
+def joint_kl(policy: Policy, data: PolicyData) -> float:
+    """Mean over the batch of KL(policy || the one that the data remembers), nats."""
+    kl = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
+    return float(kl.sum(1).mean())
+
+
+def improve(
+    policy: Policy,
+    optimiser: Adam,
+    data: PolicyData,
+    hyper: OnPolicyHyper,
+    *,
+    learning_rate: float,
+    generator: torch.Generator,
+) -> Improvement:
+    """Pass over the batch until the passes are made or the policy has moved far enough.
+
+    Args:
+        policy: Changed in place.
+        optimiser: Of the policy gradient.
+        data: The batch.
+        hyper: Loss, passes, minibatch, weights and bounds.
+        learning_rate: Of Adam.
+        generator: Draws the order, unless the whole batch is one step.
+    """
+    count = num_chunks(len(data.obs), hyper.policy_minibatch)
+    totals, kl, passes = torch.zeros(2), 0.0, 0
+    while passes < hyper.policy_epochs and kl <= hyper.kl_stop:
+        passes += 1
+        totals.zero_()
+        for part in _minibatches(data, count, generator):
+            losses = _losses(policy, part, hyper)
+            loss = losses.sum() - hyper.entropy_weight * entropy(policy.log_std)
+            optimiser.descend(loss, learning_rate, hyper.max_grad_norm)
+            policy.hold_floor()
+            totals += losses.detach()
+        kl = joint_kl(policy, data)
+    gradient, distilled = (totals / count).tolist()
+    return Improvement(gradient, distilled, passes, kl)
+
+
+def _losses(policy: Policy, part: PolicyData, hyper: OnPolicyHyper) -> Tensor:
+    """Losses of the policy gradient and, weighted, of equation 6, ``[2]``."""
+    mean = policy(part.obs)
+    log_prob = log_density(mean, policy.log_std, part.action)
+    loss = policy_loss(hyper.policy_loss, log_prob, part.log_prob, part.advantage, hyper.clip_ratio)
+    if part.distil_target is None:
+        return torch.stack([loss, torch.zeros(())])
+    extra = distil_loss(hyper.distil_loss, mean, part.distil_target, policy.std())
+    return torch.stack([loss, hyper.distil_weight * extra])
+
+
+def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> list[PolicyData]:
+    """One pass over the data in a new order; the data itself where it is one step."""
+    if count == 1:
+        return [data]
+    order = torch.randperm(len(data.obs), generator=generator)
+    target = data.distil_target
+    targets = [None] * count if target is None else target[order].tensor_split(count)
+    return [
+        PolicyData(
+            obs=obs,
+            action=action,
+            log_prob=log_prob,
+            advantage=advantage,
+            mean=mean,
+            log_std=data.log_std,
+            distil_target=wanted,
+        )
+        for obs, action, log_prob, advantage, mean, wanted in zip(
+            data.obs[order].tensor_split(count),
+            data.action[order].tensor_split(count),
+            data.log_prob[order].tensor_split(count),
+            data.advantage[order].tensor_split(count),
+            data.mean[order].tensor_split(count),
+            targets,
+            strict=True,
+        )
+    ]

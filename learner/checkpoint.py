@@ -1,0 +1,93 @@
+"""Checkpoints: one directory each, written whole or not at all, with nothing that can run code.
+
+``checkpoints/00000120/`` holds ``tensors.safetensors`` and ``state.json``; the checksum of the
+first is in the second, so a damaged checkpoint is recognised and never half used.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+from safetensors import SafetensorError
+from torch import Tensor
+
+from a2s.protocol.errors import RunDirectoryError
+
+_KEPT = 3
+_FORMAT = 1
+
+
+def save(
+    folder: Path, updates: int, tensors: dict[str, Tensor], state: dict[str, Any]
+) -> tuple[Path, int]:
+    """Write the checkpoint of an update, and forget all but the newest three.
+
+    Args:
+        folder: Where checkpoints are kept.
+        updates: Updates made so far; names the checkpoint.
+        tensors: By name.
+        state: Anything that JSON can hold.
+
+    Returns:
+        The checkpoint and its size in bytes.
+
+    Raises:
+        RunDirectoryError: It cannot be written, for example because the disk is full.
+    """
+    path = folder / f"{updates:08d}"
+    partial = folder / f".{path.name}.partial"
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        data = safetensors.torch.save({k: v.contiguous() for k, v in tensors.items()})
+        checked = {"format": _FORMAT, "sha256": hashlib.sha256(data).hexdigest(), "state": state}
+        text = json.dumps(checked).encode()
+        _write(partial / "tensors.safetensors", data)
+        _write(partial / "state.json", text)
+        shutil.rmtree(path, ignore_errors=True)
+        partial.rename(path)
+    except OSError as error:
+        raise RunDirectoryError(f"checkpoint {path}: {error.strerror}") from error
+    for old in _all(folder)[:-_KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return path, len(data) + len(text)
+
+
+def load(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read the newest checkpoint.
+
+    Returns:
+        Tensors and state, as they were given to :func:`save`.
+
+    Raises:
+        RunDirectoryError: There is none, or it is damaged; a damaged one is never skipped
+            silently for an older one.
+    """
+    found = _all(folder)
+    if not found:
+        raise RunDirectoryError(f"{folder}: found no checkpoint; start without --resume")
+    path = found[-1]
+    advice = f"delete {path} to go on from the one before"
+    try:
+        checked = json.loads((path / "state.json").read_text())
+        data = (path / "tensors.safetensors").read_bytes()
+        if hashlib.sha256(data).hexdigest() != checked["sha256"]:
+            raise RunDirectoryError(f"checkpoint {path}: the checksum does not match; {advice}")
+        return safetensors.torch.load(data), checked["state"]
+    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+        raise RunDirectoryError(f"checkpoint {path}: damaged ({error}); {advice}") from error
+
+
+def _all(folder: Path) -> list[Path]:
+    return sorted(folder.glob("[0-9]*")) if folder.exists() else []
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,161 @@
+"""What a run is: every setting, from the command line or a file, checked, and written down.
+
+A configuration is two tables of TOML, as every run directory keeps it::
+
+    [run]     environment, algorithm, lengths, seed: the options of the command line
+    [hyper]   every hyperparameter, as `a2s learner --print-config` shows them
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, get_args, get_type_hints
+
+import tomlkit
+
+from a2s.learner import presets
+from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
+from a2s.protocol.errors import UsageError, nearest
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import Clock
+
+Variant = Literal["on-policy", "off-policy"]
+Algo = Literal["a2s", "a2c"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """The options of a run.
+
+    Raises:
+        UsageError: A value is impossible; one line that names it.
+    """
+
+    run: str = "default"
+    """Name of the run, a part of every key on the network."""
+    env: str = "Hopper-v5"
+    """Gymnasium id, or module:Id-v0."""
+    variant: Variant = "on-policy"
+    """On-policy (algorithm 1 of the paper) or off-policy (algorithm 2)."""
+    algo: Algo = "a2s"
+    """a2s, or a2c: one suggestion, no Q."""
+    preset: str = "modern"
+    """Named set of hyperparameters."""
+    total_steps: int = 1_000_000
+    """Environment steps at which the run ends."""
+    seed: int = 0
+    """Seed of everything."""
+    clock: Clock = "lockstep"
+    """lockstep: one version, one batch; async: actors never wait."""
+    n: int = 1
+    """Actor processes to wait for before the first weights."""
+    envs: int = 8
+    """Environments in each actor process."""
+    checkpoint_every_updates: int = 20
+    """Updates between checkpoints."""
+    threads: int = 1
+    """Threads of torch; small networks are fastest with one."""
+
+    def __post_init__(self) -> None:
+        """Check every value against its type and range."""
+        hints = get_type_hints(type(self))
+        for name, hint in hints.items():
+            value, choices = getattr(self, name), get_args(hint)
+            if choices and value not in choices:
+                raise UsageError(f"{name}: found {value!r}{nearest(str(value), choices)}")
+            if not choices and type(value) is not hint:
+                raise UsageError(f"{name}: found {value!r}, expected {hint.__name__}")
+        Keys(self.run)
+        least = {"total_steps": 1, "seed": 0, "n": 1, "envs": 1}
+        least |= {"checkpoint_every_updates": 1, "threads": 1}
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise UsageError(f"{name}: found {getattr(self, name)}, expected at least {low}")
+        if self.envs > 4096:
+            raise UsageError(f"envs: found {self.envs}, expected at most 4096")
+        if self.variant == "off-policy":
+            raise UsageError("variant: off-policy is not there yet; use --variant on-policy")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Configuration:
+    """A run and its hyperparameters."""
+
+    run: RunConfig
+    hyper: OnPolicyHyper
+
+    def to_toml(self) -> str:
+        """Write everything, so that :func:`read` gives the same again."""
+        document = tomlkit.document()
+        document["run"] = asdict(self.run)
+        document["hyper"] = {k: _plain(v) for k, v in asdict(self.hyper).items()}
+        return tomlkit.dumps(document)
+
+    def explain(self) -> str:
+        """Every value with its source, one a line, as TOML with comments."""
+        sources = presets.choices(self.run.preset, self.run.algo)
+        lines = ["[run]"]
+        lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
+        lines += ["", "[hyper]"]
+        for name, value in asdict(self.hyper).items():
+            choice = sources[name]
+            source = choice.source if choice.value == value else "set by you"
+            lines.append(f"{name} = {_toml(value)}  # {source}")
+        return "\n".join(lines)
+
+
+def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read the two tables of a configuration file; either may be missing or incomplete.
+
+    Raises:
+        UsageError: The file cannot be read, or has an unknown table or option.
+    """
+    try:
+        document = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: not TOML: {error}") from None
+    for table in document:
+        if table not in ("run", "hyper"):
+            raise UsageError(f"{path}: unknown table [{table}]{nearest(table, ('run', 'hyper'))}")
+    run, hyper = document.get("run", {}), document.get("hyper", {})
+    valid = {field.name for field in fields(RunConfig)}
+    for name in run:
+        if name not in valid:
+            raise UsageError(f"{path}: unknown option {name!r} in [run]{nearest(name, valid)}")
+    return run, hyper
+
+
+def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:
+    """Make a configuration of options and hyperparameters that differ from the defaults.
+
+    Raises:
+        UsageError: A name or a value is impossible.
+    """
+    run = RunConfig(**options)
+    return Configuration(run=run, hyper=presets.on_policy(run.preset, run.algo, hyper))
+
+
+def parse_settings(settings: list[str]) -> dict[str, object]:
+    """Split ``KEY=VALUE`` of ``--set``.
+
+    Raises:
+        UsageError: There is no ``=``.
+    """
+    parsed: dict[str, object] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            raise UsageError(f"--set: found {setting!r}, expected KEY=VALUE")
+        parsed[name.strip()] = value.strip()
+    return parsed
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _toml(value: object) -> str:
+    return tomlkit.item(_plain(value)).as_string()

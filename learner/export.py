@@ -1,0 +1,279 @@
+"""A suggester as an ONNX graph, written node by node.
+
+Written by hand because it happens at every weights version: about a millisecond, where tracing
+takes seconds. The nodes depend only on the options of the suggester and are made once; each
+version fills in the numbers.
+
+Contract of the graph, float32 throughout, ``B`` free, ``K`` and ``A`` fixed::
+
+    obs     [B, D]        ->  action      [B, A]   in the environment's units, within its bounds
+    normal  [B, K, A]         suggestion  [B, A]   canonical, before clipping
+    gumbel  [B, K]            log_prob    [B]      of the suggestion under the policy
+    (soft selection only)     q_spread    [B]      largest score less the mean, in returns
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+from onnx import TensorProto, helper
+
+from a2s.learner.algorithm.networks import LAYER_NORM_EPS, OBS_LIMIT, Body
+from a2s.learner.algorithm.suggester import Suggester
+from a2s.learner.algorithm.suggestion import SPREAD_EPS
+
+CONTRACT = "a2s-suggester-1"
+OPSET = 18
+IR_VERSION = 9
+
+Array = npt.NDArray[Any]
+
+
+class _Form(NamedTuple):
+    """All that decides which nodes there are."""
+
+    obs_size: int
+    action_size: int
+    suggestions: int
+    mode: str
+    clips: bool
+    normalises: bool
+    activation: str
+    layer_norm: bool
+    policy_layers: int
+    q_layers: int
+    critics: int
+    combine: str
+
+
+def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, str]) -> bytes:
+    """Write a suggester with its present weights as one self-contained ONNX file.
+
+    Args:
+        suggester: What to write; any of its modes.
+        weights_version: Goes into the file's metadata.
+        metadata: Further entries, such as ``env``. The file's own entries (``contract``,
+            ``weights_version``, ``K``, ``mode``, ``obs_size``, ``action_size``, ``action_low``,
+            ``action_high``) take precedence.
+
+    Returns:
+        The serialised model.
+    """
+    form = _form(suggester)
+    model = onnx.ModelProto()
+    model.CopyFrom(_template(form))
+    for name, array in _numbers(suggester, form).items():
+        model.graph.initializer.append(
+            TensorProto(
+                name=name,
+                dims=array.shape,
+                data_type=TensorProto.INT64 if array.dtype == np.int64 else TensorProto.FLOAT,
+                raw_data=np.ascontiguousarray(array).tobytes(),
+            )
+        )
+    own = {
+        "contract": CONTRACT,
+        "weights_version": str(weights_version),
+        "K": str(form.suggestions),
+        "mode": form.mode,
+        "obs_size": str(form.obs_size),
+        "action_size": str(form.action_size),
+        "action_low": str(suggester.action_low.tolist()),
+        "action_high": str(suggester.action_high.tolist()),
+    }
+    for key, value in {**metadata, **own}.items():
+        model.metadata_props.add(key=key, value=value)
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def _form(suggester: Suggester) -> _Form:
+    q_net, body = suggester.q_net, suggester.policy.body
+    return _Form(
+        obs_size=body.weight[0].shape[1],
+        action_size=len(suggester.action_low),
+        suggestions=suggester.suggestions,
+        mode=suggester.mode,
+        clips=suggester.action_mode == "clip",
+        normalises=suggester.normaliser.enabled,
+        activation=body.activation,
+        layer_norm=body.layer_norm,
+        policy_layers=len(body.weight),
+        q_layers=len(q_net.body.weight) if q_net else 0,
+        critics=q_net.members if q_net else 0,
+        combine=q_net.combine if q_net else "mean",
+    )
+
+
+def _numbers(suggester: Suggester, form: _Form) -> dict[str, Array]:
+    """The initialisers: everything that differs from one version to the next, and constants."""
+    low, high = suggester.action_low.numpy(), suggester.action_high.numpy()
+    log_std = suggester.policy.log_std.detach()
+    log_norm = float(log_std.sum()) + 0.5 * math.log(2 * math.pi) * form.action_size
+    numbers: dict[str, Array] = {
+        "std": log_std.exp().numpy(),
+        "log_norm": _constant([log_norm]),
+        "minus_half": _constant([-0.5]),
+        "half_range": (high - low) / 2,
+        "centre": (high + low) / 2,
+        "low": low,
+        "high": high,
+        "axis_1": np.array([1], np.int64),
+        **_body_numbers("policy", suggester.policy.body, 0),
+    }
+    if form.normalises:
+        mean, factor = suggester.normaliser.constants()
+        limit = _constant(OBS_LIMIT)
+        numbers |= {"obs_mean": mean.numpy(), "obs_factor": factor.numpy()}
+        numbers |= {"obs_least": -limit, "obs_most": limit}
+    if suggester.q_net is None:
+        return numbers | {"zero": _constant([0.0])}
+    numbers["axis_2"] = np.array([2], np.int64)
+    for member in range(form.critics):
+        numbers |= _body_numbers(f"q{member}", suggester.q_net.body, member)
+        first = numbers.pop(f"q{member}.weight.0")
+        numbers[f"q{member}.weight.obs"] = first[: form.obs_size]
+        numbers[f"q{member}.weight.action"] = first[form.obs_size :]
+    one = _constant(1.0)
+    numbers |= {"q_scale": _constant([suggester.q_scale])}
+    numbers |= {"minus_one": -one, "plus_one": one} if form.clips else {}
+    if form.critics == 2 and form.combine == "mean":
+        numbers["half"] = _constant([0.5])
+    if form.mode == "soft":
+        numbers["temperature"] = _constant([suggester.temperature])
+        numbers["spread_eps"] = _constant([SPREAD_EPS])
+    return numbers
+
+
+def _constant(value: float | list[float]) -> Array:
+    return np.array(value, np.float32)
+
+
+def _body_numbers(name: str, body: Body, member: int) -> dict[str, Array]:
+    parts = {"weight": body.weight, "bias": body.bias, "gain": body.gain, "offset": body.offset}
+    numbers = {
+        f"{name}.{part}.{index}": tensor[member].detach().numpy()
+        for part, tensors in parts.items()
+        for index, tensor in enumerate(tensors)
+    }
+    return {
+        key: array if ".weight." in key else array.reshape(-1) for key, array in numbers.items()
+    }
+
+
+class _Nodes:
+    """A list of nodes that gives every result a name."""
+
+    def __init__(self, form: _Form) -> None:
+        self.form = form
+        self.nodes: list[Any] = []
+
+    def add(self, kind: str, *inputs: str, to: str = "", **attributes: object) -> str:
+        output = to or f"n{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
+        return output
+
+    def hidden(self, name: str, layer: int, x: str) -> str:
+        """Layer normalisation and non-linearity on the sums of a layer."""
+        if self.form.layer_norm:
+            scale = (f"{name}.gain.{layer}", f"{name}.offset.{layer}")
+            x = self.add("LayerNormalization", x, *scale, axis=-1, epsilon=LAYER_NORM_EPS)
+        if self.form.activation == "silu":
+            return self.add("Mul", x, self.add("Sigmoid", x))
+        return self.add("Tanh" if self.form.activation == "tanh" else "Relu", x)
+
+    def observation(self) -> str:
+        if not self.form.normalises:
+            return "obs"
+        scaled = self.add("Mul", self.add("Sub", "obs", "obs_mean"), "obs_factor")
+        return self.add("Clip", scaled, "obs_least", "obs_most")
+
+    def policy(self, seen: str) -> str:
+        x = self.add("Gemm", seen, "policy.weight.0", "policy.bias.0")
+        for layer in range(1, self.form.policy_layers):
+            x = self.hidden("policy", layer - 1, x)
+            x = self.add("Gemm", x, f"policy.weight.{layer}", f"policy.bias.{layer}")
+        return x
+
+    def critic(self, name: str, seen: str, action: str) -> str:
+        """Scores ``[B, K]``; the observation's part of the first layer once for all K."""
+        part = self.add("Gemm", seen, f"{name}.weight.obs", f"{name}.bias.0")
+        x = self.add("MatMul", action, f"{name}.weight.action")
+        x = self.add("Add", x, self.add("Unsqueeze", part, "axis_1"))
+        for layer in range(1, self.form.q_layers):
+            x = self.add("MatMul", self.hidden(name, layer - 1, x), f"{name}.weight.{layer}")
+            x = self.add("Add", x, f"{name}.bias.{layer}")
+        return self.add("Squeeze", x, "axis_2")
+
+    def scores(self, seen: str, candidates: str) -> str:
+        action = candidates
+        if self.form.clips:
+            action = self.add("Clip", candidates, "minus_one", "plus_one")
+        found = [self.critic(f"q{m}", seen, action) for m in range(self.form.critics)]
+        if len(found) == 1:
+            return found[0]
+        if self.form.combine == "min":
+            return self.add("Min", *found)
+        return self.add("Mul", self.add("Add", *found), "half")
+
+    def select(self, score: str) -> str:
+        """Index of the chosen suggestion, ``[B, 1]``; writes ``q_spread``."""
+        centred = self.add("Sub", score, self.add("ReduceMean", score, "axis_1", keepdims=1))
+        widest = self.add("ReduceMax", centred, "axis_1", keepdims=0)
+        self.add("Mul", widest, "q_scale", to="q_spread")
+        if self.form.mode == "hard":
+            return self.add("ArgMax", score, axis=1, keepdims=1)
+        variance = self.add("ReduceMean", self.add("Mul", centred, centred), "axis_1", keepdims=1)
+        spread = self.add("Mul", self.add("Sqrt", variance), "temperature")
+        logit = self.add("Div", centred, self.add("Add", spread, "spread_eps"))
+        return self.add("ArgMax", self.add("Add", logit, "gumbel"), axis=1, keepdims=1)
+
+    def answer(self, mean: str, noise: str) -> None:
+        """The outputs that follow from the noise of the chosen suggestion, ``[B, A]``."""
+        self.add("Add", mean, self.add("Mul", noise, "std"), to="suggestion")
+        square = self.add("ReduceSum", self.add("Mul", noise, noise), "axis_1", keepdims=0)
+        self.add("Sub", self.add("Mul", square, "minus_half"), "log_norm", to="log_prob")
+        wide = self.add("Add", self.add("Mul", "suggestion", "half_range"), "centre")
+        self.add("Min", self.add("Max", wide, "low"), "high", to="action")
+
+
+@functools.lru_cache(maxsize=32)
+def _template(form: _Form) -> Any:
+    """The model without its numbers."""
+    nodes = _Nodes(form)
+    seen = nodes.observation()
+    mean = nodes.policy(seen)
+    if form.mode == "first":
+        noise = nodes.add("Squeeze", "normal", "axis_1")
+        nodes.add("Mul", nodes.add("ReduceSum", noise, "axis_1", keepdims=0), "zero", to="q_spread")
+    else:
+        spread = nodes.add("Mul", "normal", "std")
+        candidates = nodes.add("Add", spread, nodes.add("Unsqueeze", mean, "axis_1"))
+        index = nodes.select(nodes.scores(seen, candidates))
+        noise = nodes.add("GatherND", "normal", index, batch_dims=1)
+    nodes.answer(mean, noise)
+    k, a = form.suggestions, form.action_size
+    inputs = {"obs": ["B", form.obs_size], "normal": ["B", k, a]}
+    inputs |= {"gumbel": ["B", k]} if form.mode == "soft" else {}
+    outputs: dict[str, list[str | int]] = {
+        "action": ["B", a],
+        "suggestion": ["B", a],
+        "log_prob": ["B"],
+        "q_spread": ["B"],
+    }
+    graph = helper.make_graph(
+        nodes.nodes,
+        "suggester",
+        [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in inputs.items()],
+        [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in outputs.items()],
+    )
+    return helper.make_model(
+        graph,
+        producer_name="a2s",
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+    )

@@ -1,0 +1,324 @@
+"""Gathering: every hello and segment is judged here, and segments become batches here.
+
+The handlers of the bus call in on their threads; the learner's loop waits in
+:meth:`Gather.next_batch`. One lock guards all of it.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from a2s.learner.ledger import Accounts, Ledger
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.roster import Member, Roster
+from a2s.protocol.messages import (
+    Ack,
+    ActorStatus,
+    Clock,
+    Hello,
+    Notice,
+    Refusal,
+    Segment,
+    Spaces,
+    Verdict,
+    Welcome,
+)
+
+_WAIT_S = 0.5
+_SILENT_S = 30.0
+_BATCHES_AHEAD = 4
+_HOLD_BACK_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """What every actor is told, and what segments are held to.
+
+    Attributes:
+        run: Name of the run.
+        generation: Which start of the learner this is.
+        env_id: Environment.
+        spaces: Its spaces.
+        num_envs: Environments of an actor that was not told otherwise.
+        clock: ``lockstep`` or ``async``.
+        max_policy_lag: Versions that a segment may be behind.
+        seed: Of the run.
+    """
+
+    run: str
+    generation: int
+    env_id: str
+    spaces: Spaces
+    num_envs: int
+    clock: Clock
+    max_policy_lag: int
+    seed: int
+
+
+class Gather:
+    """Judges what arrives, and hands out batches.
+
+    Args:
+        terms: The run.
+        ledger: Where answers are written down.
+        metrics: Where they are counted.
+        on_event: Told joins, leaves and refusals, with the lock held.
+    """
+
+    def __init__(
+        self,
+        terms: Terms,
+        ledger: Ledger,
+        metrics: LearnerMetrics,
+        on_event: Callable[..., None],
+    ) -> None:
+        self._terms = terms
+        self._ledger = ledger
+        self._metrics = metrics
+        self._on_event = on_event
+        self._roster = Roster(terms.seed, terms.generation)
+        self._changed = threading.Condition()
+        self._notice: Notice | None = None
+        self._batch_steps = 1
+        self._pending: list[tuple[int, Segment]] = []
+        self._pending_steps = 0
+
+    # What the bus calls.
+
+    def hello(self, hello: Hello) -> Welcome | Refusal:
+        """Answer a hello; one with spaces joins."""
+        terms = self._terms
+        slot, seed = -1, 0
+        if hello.spaces is not None:
+            difference = self._difference(hello)
+            if difference:
+                return self.refuse("hello", "environment", difference)
+            with self._changed:
+                is_new = self._roster.find(hello.actor) is None
+                member, seed = self._roster.join(hello.actor, hello.num_envs, time.monotonic())
+                slot = member.slot
+                if is_new:
+                    self._metrics.joins.inc()
+                    self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
+                self._changed.notify_all()
+        return Welcome(
+            run=terms.run,
+            generation=terms.generation,
+            env_id=terms.env_id,
+            spaces=terms.spaces,
+            num_envs=terms.num_envs,
+            clock=terms.clock,
+            slot=slot,
+            seed=seed,
+        )
+
+    def segment(self, segment: Segment) -> Ack:
+        """Judge a segment; an accepted one is written down before this returns."""
+        with self._changed:
+            if self._ledger.has(segment.actor, segment.seq):
+                return self._ack("duplicate", "answered before", segment)
+            member = self._roster.find(segment.actor)
+            if member is not None:
+                member.heard_s = time.monotonic()
+            verdict, cause, reason = self._judge(segment, member)
+            self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
+            if verdict == "refused":
+                self._metrics.refused.labels(message="segment", reason=cause).inc()
+                self._on_event("refusal", actor=segment.actor, seq=segment.seq, reason=reason)
+            if verdict == "accepted":
+                assert member is not None
+                self._accept(segment, member)
+            return self._ack(verdict, reason, segment)
+
+    def refuse_segment(self, cause: str, reason: str) -> Ack:
+        """Answer bytes that are no segment: nothing is known but that they are unusable."""
+        self.refuse("segment", cause, reason)
+        with self._changed:
+            return self._ack("refused", reason, None)
+
+    def refuse(self, message: str, cause: str, reason: str) -> Refusal:
+        """Count a message that cannot be used."""
+        with self._changed:
+            self._metrics.refused.labels(message=message, reason=cause).inc()
+            self._on_event("refusal", message=message, reason=reason)
+        return Refusal(reason=reason)
+
+    def status(self, status: ActorStatus) -> None:
+        """Remember an actor's own account."""
+        with self._changed:
+            member = self._roster.find(status.actor)
+            if member is None:
+                return
+            member.status = status
+            member.heard_s = time.monotonic()
+            if status.leaving:
+                self._leave(status.actor, "clean")
+
+    def gone(self, actor: str) -> None:
+        """An actor's connection has ended."""
+        with self._changed:
+            self._leave(actor, "lost")
+
+    # What the learner's loop calls.
+
+    def publish(self, notice: Notice, batch_steps: int) -> None:
+        """New weights are out: count their quota from here, and forget what is now stale."""
+        with self._changed:
+            if self._notice is None or notice.epoch != self._notice.epoch:
+                self._pending, self._pending_steps = [], 0
+            self._notice = notice
+            self._batch_steps = batch_steps
+            self._roster.begin()
+
+    def wait_for_members(self, num_actors: int, proceed: Callable[[str], bool]) -> bool:
+        """Wait until so many actors have joined.
+
+        Args:
+            num_actors: At least 1.
+            proceed: Told what is waited for, at least twice a second; when false, the wait ends.
+
+        Returns:
+            Whether they have.
+        """
+        with self._changed:
+            while len(self._roster.members) < num_actors:
+                present = len(self._roster.members)
+                if not proceed(f"{num_actors - present} more of {num_actors} actors to join"):
+                    return False
+                self._changed.wait(timeout=_WAIT_S)
+        return True
+
+    def next_batch(self, proceed: Callable[[str], bool]) -> list[tuple[int, Segment]]:
+        """Wait for a batch and take it.
+
+        Args:
+            proceed: Told what is waited for, at least twice a second; when false, the wait ends.
+
+        Returns:
+            Its segments, each with the slot of its actor, by slot, environment and number; empty
+            when told not to proceed.
+        """
+        with self._changed:
+            while (missing := self._missing()) != "":
+                if not proceed(missing):
+                    return []
+                self._changed.wait(timeout=_WAIT_S)
+            pending, self._pending, self._pending_steps = self._pending, [], 0
+        pending.sort(key=lambda pair: (pair[0], pair[1].env, pair[1].seq))
+        return pending
+
+    def accounts(self) -> Accounts:
+        """The segments of the run so far."""
+        with self._changed:
+            return self._ledger.accounts()
+
+    @property
+    def accepted_steps(self) -> int:
+        """Environment steps accepted in the run so far."""
+        return self._ledger.accepted_steps
+
+    @property
+    def num_envs(self) -> int:
+        """Environments of all actors present, at least 1."""
+        with self._changed:
+            return max(1, self._roster.num_envs)
+
+    def members(self) -> list[Member]:
+        """The actors present, by slot."""
+        with self._changed:
+            return self._roster.members
+
+    def pending_steps(self) -> int:
+        """Steps that wait to be learned from."""
+        return self._pending_steps
+
+    def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
+        generation = self._terms.generation
+        if segment.generation != generation:
+            return "stale", "", f"generation {segment.generation}, this is {generation}"
+        if member is None:
+            return "refused", "unknown_actor", f"actor {segment.actor} has not joined"
+        misfit = self._misfit(segment, member)
+        if misfit:
+            return "refused", "spaces", misfit
+        if self._notice is None or segment.weights_version > self._notice.version:
+            return "refused", "future", f"version {segment.weights_version} is not published"
+        too_old = self._too_old(segment, self._notice)
+        return ("stale", "", too_old) if too_old else ("accepted", "", "")
+
+    def _misfit(self, segment: Segment, member: Member) -> str:
+        spaces = self._terms.spaces
+        found = (segment.obs.shape[1], segment.suggestion.shape[1])
+        expected = (spaces.obs_size, spaces.action_size)
+        if found != expected:
+            return f"found obs_size and action_size {found}, expected {expected}"
+        if segment.env >= member.num_envs:
+            return f"found env {segment.env}, expected less than {member.num_envs}"
+        return ""
+
+    def _too_old(self, segment: Segment, notice: Notice) -> str:
+        if segment.epoch != notice.epoch:
+            return f"epoch {segment.epoch}, this is {notice.epoch}"
+        lag, allowed = notice.version - segment.weights_version, self._terms.max_policy_lag
+        if lag > allowed:
+            return f"{lag} versions behind, at most {allowed}"
+        if self._pending_steps > 2 * _BATCHES_AHEAD * self._batch_steps:
+            return "more waits than can be learned from in time"
+        return ""
+
+    def _accept(self, segment: Segment, member: Member) -> None:
+        assert self._notice is not None
+        self._pending.append((member.slot, segment))
+        self._pending_steps += segment.num_steps
+        if segment.weights_version == self._notice.version:
+            member.deliver(segment)
+        self._metrics.policy_lag.observe(self._notice.version - segment.weights_version)
+        self._metrics.env_steps.inc(segment.num_steps)
+        if not self._missing():
+            self._changed.notify_all()
+
+    def _ack(self, verdict: Verdict, reason: str, segment: Segment | None) -> Ack:
+        steps = 0 if segment is None else segment.num_steps
+        self._metrics.received.labels(result=verdict).inc(steps)
+        behind = self._pending_steps > _BATCHES_AHEAD * self._batch_steps
+        return Ack(
+            verdict=verdict,
+            reason=reason,
+            generation=self._terms.generation,
+            epoch=self._notice.epoch if self._notice else 0,
+            weights_version=self._notice.version if self._notice else 0,
+            wait_s=_HOLD_BACK_S if behind else 0.0,
+        )
+
+    def _missing(self) -> str:
+        """Say what a batch still waits for; empty when it is complete."""
+        notice = self._notice
+        if notice is None:
+            return "the first weights"
+        if self._terms.clock == "async":
+            if self._pending_steps >= self._batch_steps:
+                return ""
+            return f"{self._batch_steps - self._pending_steps} more steps"
+        now_s = time.monotonic()
+        members = [m for m in self._roster.members if now_s - m.heard_s < _SILENT_S]
+        if not members:
+            return "actors: none is present, start `a2s actor`"
+        late = [m.slot for m in members if not all(p.meets(notice) for p in m.progress)]
+        if late:
+            return f"segments of version {notice.version} from actors {late}"
+        return "" if self._pending else "segments"
+
+    def _leave(self, actor: str, reason: str) -> None:
+        member = self._roster.leave(actor)
+        if member is not None:
+            self._metrics.leaves.labels(reason=reason).inc()
+            self._on_event("leave", actor=actor, slot=member.slot, reason=reason)
+            self._changed.notify_all()
+
+    def _difference(self, hello: Hello) -> str:
+        assert hello.spaces is not None
+        if hello.env_id != self._terms.env_id:
+            return f"environment: found {hello.env_id}, expected {self._terms.env_id}"
+        difference = self._terms.spaces.differs_from(hello.spaces)
+        return f"environment {hello.env_id}: found {difference}" if difference else ""

@@ -1,0 +1,129 @@
+"""Which segments were answered, and how: exactly once, whatever is killed.
+
+Every answer is one line of ``segments.log``, written before the answer is sent, so that a
+restarted learner recognises what an earlier one has taken.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.messages import Verdict
+
+_RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accounts:
+    """The segments of a run: ``sent = accepted + stale + refused + lost``.
+
+    Attributes:
+        sent: Segments that actors have numbered, as far as the learner has seen the numbers.
+        accepted: Taken to be learned from.
+        duplicate: Answers to segments that had been answered before; part of no sum.
+        stale: Too old to learn from.
+        refused: Unusable.
+        lost: Numbered but never received: their actor died with them.
+    """
+
+    sent: int
+    accepted: int
+    duplicate: int
+    stale: int
+    refused: int
+    lost: int
+
+
+@dataclass(slots=True)
+class _Sender:
+    """The numbers seen from one actor: all below ``next_seq`` but for ``missing``."""
+
+    next_seq: int = 0
+    missing: set[int] = field(default_factory=set)
+
+    def has(self, seq: int) -> bool:
+        return seq < self.next_seq and seq not in self.missing
+
+    def add(self, seq: int) -> None:
+        self.missing.discard(seq)
+        if seq >= self.next_seq:
+            self.missing.update(range(self.next_seq, seq))
+            self.next_seq = seq + 1
+
+
+class Ledger:
+    """The answers of one run, in memory and in a file.
+
+    Args:
+        path: The file; an existing one is read first.
+
+    Raises:
+        RunDirectoryError: The file is not a ledger.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._senders: dict[str, _Sender] = {}
+        self._verdicts = dict.fromkeys(_RECORDED, 0)
+        self._duplicates = 0
+        self.accepted_steps = 0
+        whole = 0
+        for line, end in _lines(path):
+            self._replay(path, line)
+            whole = end
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
+        os.ftruncate(self._file, whole)  # a line torn by a kill was never answered
+        os.lseek(self._file, 0, os.SEEK_END)
+
+    def has(self, actor: str, seq: int) -> bool:
+        """Whether this segment was answered; counts a duplicate if so."""
+        sender = self._senders.get(actor)
+        if sender is None or not sender.has(seq):
+            return False
+        self._duplicates += 1
+        return True
+
+    def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
+        """Write an answer down; it survives the death of this process when this returns."""
+        os.write(self._file, f"{actor} {seq} {verdict} {steps}\n".encode())
+        self._count(actor, seq, verdict, steps)
+
+    def accounts(self) -> Accounts:
+        """Add everything up."""
+        return Accounts(
+            sent=sum(sender.next_seq for sender in self._senders.values()),
+            lost=sum(len(sender.missing) for sender in self._senders.values()),
+            duplicate=self._duplicates,
+            **self._verdicts,
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+    def _count(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
+        self._senders.setdefault(actor, _Sender()).add(seq)
+        self._verdicts[verdict] += 1
+        if verdict == "accepted":
+            self.accepted_steps += steps
+
+    def _replay(self, path: Path, line: str) -> None:
+        try:
+            actor, seq, verdict, steps = line.split(" ")
+            known = next(v for v in _RECORDED if v == verdict)
+            self._count(actor, int(seq), known, int(steps))
+        except (ValueError, StopIteration):
+            raise RunDirectoryError(f"{path}: found {line!r:.60}, expected a ledger line") from None
+
+
+def _lines(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield every complete line, and the size of the file up to its end."""
+    if not path.exists():
+        return
+    end = 0
+    with path.open("rb") as file:
+        for line in file:
+            if line.endswith(b"\n"):
+                end += len(line)
+                yield line[:-1].decode(errors="replace"), end

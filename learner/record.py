@@ -1,0 +1,42 @@
+"""What the episodes of a run amount to, so far."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+_WINDOW = 100
+_RECENT = 10
+
+
+@dataclass(slots=True)
+class EpisodeRecord:
+    """Running statistics over finished episodes.
+
+    Attributes:
+        count: Episodes so far.
+        best: Greatest return so far.
+        returns: Of the last 100 episodes.
+        lengths: Of the last 100 episodes, in steps.
+    """
+
+    count: int = 0
+    best: float | None = None
+    returns: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    lengths: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+
+    def add(self, episode_return: float, length: int) -> None:
+        """Count a finished episode."""
+        self.count += 1
+        self.best = episode_return if self.best is None else max(self.best, episode_return)
+        self.returns.append(episode_return)
+        self.lengths.append(length)
+
+    @property
+    def mean_return(self) -> float | None:
+        """Mean return of the last 100 episodes; ``None`` before the first."""
+        return sum(self.returns) / len(self.returns) if self.returns else None
+
+    @property
+    def recent_return(self) -> float | None:
+        """Mean return of the last 10 episodes; ``None`` before the first."""
+        recent = list(self.returns)[-_RECENT:]
+        return sum(recent) / len(recent) if recent else None

@@ -1,0 +1,148 @@
+"""The directory of a run: everything that it leaves behind. ``docs/run-directory.md`` lists it."""
+
+import csv
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from a2s.protocol.errors import RunDirectoryError, UsageError
+
+EPISODE_COLUMNS = (
+    "wall_s",
+    "env_steps",
+    "actor",
+    "weights_version",
+    "return",
+    "length",
+    "terminated",
+)
+CONFIG = "config.toml"
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that readers see the old or the new one, whole, whatever is killed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.rename(path)
+
+
+def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
+    """Decide where a run is kept.
+
+    Args:
+        root: Where runs are kept, for example ``runs``.
+        run: Name of the run.
+        run_dir: The directory, when the user names one.
+        resume: Whether an existing one is to be continued.
+
+    Returns:
+        ``run_dir``, or the newest ``root/run*`` to resume, or the first that is free of
+        ``root/run``, ``root/run-2``, ``root/run-3``...
+
+    Raises:
+        UsageError: There is nothing to resume, or the named directory is in use.
+    """
+    if run_dir is None:
+        numbered = [root / run] + [root / f"{run}-{i}" for i in range(2, 10_000)]
+        taken = [d for d in numbered if d.exists()]
+        if not resume:
+            return next(d for d in numbered if d not in taken)
+        if not taken:
+            raise UsageError(f"--resume: found no run {run!r} in {root}; start without --resume")
+        return taken[-1]
+    if resume and not (run_dir / CONFIG).exists():
+        raise UsageError(f"--resume: {run_dir} holds no {CONFIG}; name a run directory")
+    if not resume and (run_dir / CONFIG).exists():
+        raise UsageError(f"--run-dir: {run_dir} holds a run; add --resume, or name another")
+    return run_dir
+
+
+class RunDirectory:
+    """Files of one run, open for appending.
+
+    Args:
+        path: The directory; made when it is not there.
+        update_columns: Columns of ``updates.csv``.
+        clock: Seconds since the run began, those before a resume included.
+    """
+
+    def __init__(
+        self, path: Path, update_columns: tuple[str, ...], clock: Callable[[], float]
+    ) -> None:
+        self.path = path
+        self._clock = clock
+        self._update_columns = update_columns
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+            self._updates = self._open_table("updates.csv", update_columns)
+            self._events = (path / "events.jsonl").open("a", buffering=1)
+        except OSError as error:
+            raise RunDirectoryError(f"{path}: {error.strerror}") from None
+
+    def _open_table(self, name: str, columns: tuple[str, ...]) -> IO[str]:
+        path = self.path / name
+        is_new = not path.exists() or path.stat().st_size == 0
+        file = path.open("a", newline="", buffering=1)
+        if is_new:
+            csv.writer(file).writerow(columns)
+        return file
+
+    def episode(self, **row: object) -> None:
+        """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first."""
+        values = [row[name] for name in EPISODE_COLUMNS[1:]]
+        csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values])
+
+    def read_episodes(self) -> Iterator[tuple[float, int]]:
+        """Yield return and length of every episode so far."""
+        with (self.path / "episodes.csv").open(newline="") as file:
+            for row in csv.DictReader(file):
+                yield float(row["return"]), int(row["length"])
+
+    def count_start(self) -> int:
+        """Count one more start of the learner; the first is 1."""
+        path = self.path / "generation"
+        generation = int(path.read_text()) + 1 if path.exists() else 1
+        write_atomically(path, str(generation).encode())
+        return generation
+
+    def update(self, row: Mapping[str, object]) -> None:
+        """Append to ``updates.csv``."""
+        csv.writer(self._updates).writerow([_short(row[c]) for c in self._update_columns])
+
+    def keep_updates(self, count: int) -> None:
+        """Forget rows of ``updates.csv`` past this many: they will be made again."""
+        self._updates.close()
+        path = self.path / "updates.csv"
+        lines = path.read_text().splitlines(keepends=True)
+        write_atomically(path, "".join(lines[: count + 1]).encode())
+        self._updates = self._open_table("updates.csv", self._update_columns)
+
+    def event(self, kind: str, **details: object) -> None:
+        """Append to ``events.jsonl``."""
+        stamp = {"wall_s": round(self._clock(), 3), "time": round(time.time(), 3), "event": kind}
+        self._events.write(json.dumps(stamp | details) + "\n")
+
+    def policy(self, place: str, graph: bytes) -> None:
+        """Write ``latest/policy.onnx`` or ``best/policy.onnx``."""
+        write_atomically(self.path / place / "policy.onnx", graph)
+
+    def summary(self, summary: Mapping[str, Any]) -> None:
+        """Write ``summary.json``."""
+        write_atomically(self.path / "summary.json", json.dumps(summary, indent=2).encode())
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in (self._episodes, self._updates, self._events):
+            file.close()
+
+
+def _short(value: object) -> object:
+    return f"{value:.6g}" if isinstance(value, float) else value

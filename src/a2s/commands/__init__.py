@@ -1,0 +1,1 @@
+"""The commands of ``a2s``: each puts together what actors and learner offer."""

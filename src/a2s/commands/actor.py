@@ -1,0 +1,71 @@
+"""``a2s actor``: n supervised actor processes on this machine."""
+
+import logging
+import socket
+import sys
+
+from a2s.actors.metrics import Fleet, serve
+from a2s.actors.supervisor import Supervisor
+from a2s.actors.worker import Task
+from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
+from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import Keys
+from a2s.protocol.zenoh_bus import check_endpoint
+
+METRICS_PORT = 9465
+
+
+def act(
+    *,
+    n: int,
+    envs: int | None,
+    run: str,
+    connect: str,
+    spool_steps: int,
+    metrics_host: str,
+    metrics_port: int | None,
+) -> int:
+    """Run actors until interrupted.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        A2SError: The user asked for something impossible, or the actors cannot work.
+    """
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    Keys(run)
+    check_endpoint(connect)
+    host = "".join(c if c.isalnum() or c in "-_" else "-" for c in socket.gethostname())[:40]
+    tasks = [
+        Task(
+            label=f"{host or 'host'}-{index}",
+            connect=connect,
+            run=run,
+            num_envs=envs,
+            spool_steps=spool_steps,
+        )
+        for index in range(n)
+    ]
+    fleet = Fleet(n)
+    url = _serve(fleet, metrics_host, metrics_port)
+    sys.stdout.write(
+        f"a2s actor: {n} processes for run {run}\n  connect     {connect}\n  metrics     {url}\n"
+    )
+    sys.stdout.flush()
+    with stop_on_signals() as stop:
+        Supervisor(tasks, fleet).run(stop)
+    return EXIT_INTERRUPTED if stop.interrupted else 0
+
+
+def _serve(fleet: Fleet, host: str, port: int | None) -> str:
+    """Serve metrics; where the user names no port and the usual one is taken, on a free one."""
+    if port == -1:
+        return "off"
+    try:
+        bound = serve(fleet, host, METRICS_PORT if port is None else port)
+    except UsageError:
+        if port is not None:
+            raise
+        bound = serve(fleet, host, 0)
+    return f"http://{host}:{bound}/metrics"

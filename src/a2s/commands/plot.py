@@ -1,0 +1,109 @@
+"""``a2s plot``: learning curves as the paper draws them (its figure 4)."""
+
+import csv
+import tomllib
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+
+from a2s.protocol.errors import UsageError
+
+mpl.use("agg")
+
+from matplotlib import pyplot as plt
+
+_POINTS = 100
+_WINDOW = 3
+
+Curve = npt.NDArray[np.float64]
+
+
+def read_curve(run: Path) -> tuple[Curve, Curve]:
+    """Read the episodes of a run.
+
+    Returns:
+        Environment steps and return of every finished episode, each ``[E]``.
+
+    Raises:
+        UsageError: This is no run directory, or no episode has ended yet.
+    """
+    try:
+        with (run / "episodes.csv").open(newline="") as file:
+            rows = [(int(r["env_steps"]), float(r["return"])) for r in csv.DictReader(file)]
+    except (OSError, KeyError, ValueError) as error:
+        raise UsageError(f"{run}: is not a run directory: episodes.csv: {error}") from None
+    if not rows:
+        raise UsageError(f"{run}: no episode has ended yet")
+    steps, returns = zip(*rows, strict=True)
+    return np.array(steps, dtype=np.float64), np.array(returns)
+
+
+def smooth(values: Curve, window: int = _WINDOW) -> Curve:
+    """Average every value with its neighbours: a centred moving average, shorter at the ends."""
+    reach = window // 2
+    return np.array([values[max(0, i - reach) : i + reach + 1].mean() for i in range(len(values))])
+
+
+def mean_over_seeds(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
+    """Average curves over a common grid, then smooth.
+
+    Returns:
+        Steps and mean return, each ``[100]``; where a curve has no episode between two points of
+        the grid, it counts with its value interpolated.
+    """
+    last = min(steps[-1] for steps, _ in curves)
+    edges = np.linspace(0.0, last, _POINTS + 1)
+    centres = (edges[:-1] + edges[1:]) / 2
+    binned = []
+    for steps, returns in curves:
+        place = np.clip(np.digitize(steps, edges) - 1, 0, _POINTS - 1)
+        within = steps <= last
+        total = np.bincount(place[within], weights=returns[within], minlength=_POINTS)
+        count = np.bincount(place[within], minlength=_POINTS)
+        filled = count > 0
+        binned.append(np.interp(centres, centres[filled], total[filled] / count[filled]))
+    return centres, smooth(np.mean(binned, axis=0))
+
+
+def plot(runs: list[Path], output: Path) -> None:
+    """Draw the runs: one panel per environment, one colour per algorithm and preset.
+
+    Raises:
+        UsageError: A run cannot be read, or the picture cannot be written.
+    """
+    panels: dict[str, dict[str, list[tuple[Curve, Curve]]]] = {}
+    for run in runs:
+        env, label = _identity(run)
+        panels.setdefault(env, {}).setdefault(label, []).append(read_curve(run))
+    figure, axes = plt.subplots(1, len(panels), figsize=(6 * len(panels), 4.2), squeeze=False)
+    for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
+        for index, (label, curves) in enumerate(sorted(groups.items())):
+            colour = f"C{index}"
+            for steps, returns in curves:
+                axis.plot(steps, returns, color=colour, alpha=0.25, linewidth=0.6)
+            seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
+            mean = mean_over_seeds(curves)
+            axis.plot(*mean, color=colour, linewidth=2.0, label=f"{label} ({seeds})")
+        axis.set_title(env)
+        axis.set_xlabel("environment steps")
+        axis.set_ylabel("training return of an episode")
+        axis.grid(alpha=0.3)
+        axis.legend(loc="upper left")
+    figure.tight_layout()
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(output, dpi=120)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{output}: {error}") from None
+    finally:
+        plt.close(figure)
+
+
+def _identity(run: Path) -> tuple[str, str]:
+    try:
+        table = tomllib.loads((run / "config.toml").read_text())["run"]
+        return table["env"], f"{table['algo']} {table['preset']}"
+    except (OSError, tomllib.TOMLDecodeError, KeyError):
+        raise UsageError(f"{run}: is not a run directory, it has no usable config.toml") from None

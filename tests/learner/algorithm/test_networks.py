@@ -1,0 +1,110 @@
+"""Networks and the normaliser, against what they are made of."""
+
+import pytest
+import torch
+from torch import nn
+
+from a2s.learner.algorithm.networks import Normaliser, Policy, Q, Value
+from a2s.learner.presets import on_policy
+
+
+def make_q(**options: object) -> Q:
+    """Build critics of four observed numbers and two actions."""
+    return Q(4, 2, on_policy("modern", "a2s", options), torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("critics", [1, 2])
+@pytest.mark.parametrize("layer_norm", [True, False])
+def test_critics_are_stacks_of_linear_norm_and_tanh(critics: int, layer_norm: bool) -> None:
+    """Each member against the same numbers in torch's own layers."""
+    q_net = make_q(critics=critics, layer_norm=layer_norm, q_sizes="5,3")
+    with torch.no_grad():
+        for parameter in q_net.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    joint, body = torch.randn(7, 6), q_net.body
+    found = q_net(joint)
+    for member in range(critics):
+        x = joint
+        for layer in range(3):
+            x = x @ body.weight[layer][member] + body.bias[layer][member]
+            if layer < 2:
+                if layer_norm:
+                    norm = nn.LayerNorm(x.shape[1])
+                    norm.weight.data = body.gain[layer][member, 0].data
+                    norm.bias.data = body.offset[layer][member, 0].data
+                    x = norm(x)
+                x = torch.tanh(x)
+        torch.testing.assert_close(found[member], x[:, 0])
+
+
+@pytest.mark.parametrize(("critics", "combine"), [(1, "mean"), (2, "mean"), (2, "min")])
+def test_scores_of_many_actions_are_those_one_by_one(critics: int, combine: str) -> None:
+    """The first layer is split into observation and action."""
+    q_net = make_q(critics=critics, critic_score=combine)
+    obs, action = torch.randn(5, 4), torch.randn(5, 3, 2)
+    found = q_net.score(obs, action)
+    for k in range(3):
+        each = q_net(torch.cat([obs, action[:, k]], 1))
+        expected = each.mean(0) if combine == "mean" else each.min(0).values
+        torch.testing.assert_close(found[:, k], expected)
+
+
+def test_uniform_init_is_the_authors() -> None:
+    """Hidden U(-1, 1), output U(-.1, .1), biases 0."""
+    hyper = on_policy("authors", "a2s", {})
+    body = Value(4, hyper, torch.Generator().manual_seed(0)).body.requires_grad_(False)
+    assert 0.9 < float(body.weight[1].abs().max()) <= 1.0
+    assert 0.05 < float(body.weight[2].abs().max()) <= 0.1
+    assert all(float(bias.abs().max()) == 0.0 for bias in body.bias)
+
+
+def test_orthogonal_init_has_its_gains() -> None:
+    """Gain sqrt(2) inside, .01 at the output of the policy."""
+    policy = Policy(64, 3, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
+    inner, last = policy.body.weight[1][0], policy.body.weight[2][0]
+    torch.testing.assert_close(inner @ inner.T, 2.0 * torch.eye(64), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(last.T @ last, 1e-4 * torch.eye(3), atol=1e-7, rtol=0.0)
+
+
+def test_std_is_a_parameter_only_when_learned() -> None:
+    """The floor is held by the parameter itself."""
+    generator = torch.Generator().manual_seed(0)
+    fixed = Policy(4, 2, on_policy("authors", "a2s", {}), generator)
+    learned = Policy(4, 2, on_policy("modern", "a2s", {}), generator)
+    assert "log_std" not in dict(fixed.named_parameters())
+    assert "log_std" in dict(learned.named_parameters())
+    torch.testing.assert_close(fixed.std(), torch.full((2,), 0.5))
+    with torch.no_grad():
+        learned.log_std.fill_(-9.0)
+    learned.hold_floor()
+    torch.testing.assert_close(learned.std().detach(), torch.full((2,), 0.15))
+
+
+def test_normaliser_has_the_moments_of_everything_it_saw() -> None:
+    """However it was divided into batches."""
+    normaliser = Normaliser(3, enabled=True)
+    parts = [torch.randn(50, 3) * 4 + 9, torch.randn(7, 3), torch.randn(200, 3) - 3]
+    for part in parts:
+        normaliser.update(part)
+    everything = torch.cat(parts).double()
+    torch.testing.assert_close(normaliser.mean, everything.mean(0))
+    torch.testing.assert_close(normaliser.variance, everything.var(0, correction=0))
+    assert float(normaliser.count) == 257.0
+    seen = normaliser(torch.cat(parts))
+    torch.testing.assert_close(seen.mean(0), torch.zeros(3), atol=1e-5, rtol=0.0)
+
+
+def test_normaliser_limits_what_is_far_away() -> None:
+    """One wild reading must not saturate a network."""
+    normaliser = Normaliser(1, enabled=True)
+    normaliser.update(torch.randn(100, 1))
+    assert normaliser(torch.tensor([[1e6], [-1e6]])).tolist() == [[10.0], [-10.0]]
+
+
+def test_normaliser_that_is_off_changes_nothing() -> None:
+    """The authors have none."""
+    normaliser = Normaliser(2, enabled=False)
+    obs = torch.randn(5, 2) * 100
+    normaliser.update(obs)
+    assert normaliser(obs) is obs
+    assert float(normaliser.count) == 0.0

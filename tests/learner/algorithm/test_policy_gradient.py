@@ -1,0 +1,142 @@
+"""Advantages and losses of the policy gradient."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.distributions import Independent, Normal
+
+from a2s.learner.algorithm.networks import Policy
+from a2s.learner.algorithm.optimiser import Adam, FlatParameters
+from a2s.learner.algorithm.policy_gradient import (
+    PolicyData,
+    advantage_over_others,
+    entropy,
+    improve,
+    log_density,
+    normalised,
+    policy_loss,
+)
+from a2s.learner.presets import on_policy
+
+
+def test_density_and_entropy_agree_with_the_textbook() -> None:
+    """Against torch's distributions."""
+    mean, log_std, action = torch.randn(5, 3), torch.randn(3), torch.randn(5, 4, 3)
+    textbook = Independent(Normal(mean.unsqueeze(1), log_std.exp()), 1)
+    torch.testing.assert_close(log_density(mean, log_std, action), textbook.log_prob(action))  # type: ignore[no-untyped-call]
+    torch.testing.assert_close(entropy(log_std), textbook.entropy()[0, 0])  # type: ignore[no-untyped-call]
+
+
+def test_score_loss_by_hand() -> None:
+    """Equation 4."""
+    log_prob, advantage = torch.tensor([[-1.0], [-3.0]]), torch.tensor([[2.0], [-1.0]])
+    loss = policy_loss("score", log_prob, torch.zeros(2, 1), advantage, 0.2)
+    assert float(loss) == -0.5  # -(-2 + 3) / 2
+
+
+@pytest.mark.parametrize(
+    ("ratio", "advantage", "loss"),
+    [
+        (1.0, 2.0, -2.0),
+        (1.5, 2.0, -2.4),  # gains end at 1.2
+        (0.5, 2.0, -1.0),
+        (0.5, -2.0, 1.6),  # losses end at 0.8
+        (1.5, -2.0, 3.0),
+    ],
+)
+def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float) -> None:
+    """Only gains are limited."""
+    log_prob = torch.tensor([[ratio]]).log()
+    found = policy_loss("clip", log_prob, torch.zeros(1, 1), torch.tensor([[advantage]]), 0.2)
+    assert float(found) == pytest.approx(loss)
+
+
+@given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
+def test_advantage_over_others_is_against_the_mean_of_the_rest(values: list[float]) -> None:
+    """By definition."""
+    found = advantage_over_others(torch.tensor([values]))[0].tolist()
+    for k, value in enumerate(values):
+        rest = values[:k] + values[k + 1 :]
+        assert found[k] == pytest.approx(value - sum(rest) / len(rest), abs=1e-3)
+
+
+def test_all_suggestions_gradient_is_that_of_the_expected_q() -> None:
+    """Q(u) = -(u - 1)^2 at mean 0, std .5: d E[Q] / d mean = 2."""
+    generator = torch.Generator().manual_seed(0)
+    mean = torch.zeros(20_000, 1, requires_grad=True)
+    log_std = torch.full((1,), 0.5).log()
+    action = 0.5 * torch.randn(20_000, 10, 1, generator=generator)
+    advantage = advantage_over_others(-(action[..., 0] - 1.0).square())
+    log_prob = log_density(mean, log_std, action)
+    loss = policy_loss("score", log_prob, log_prob.detach(), advantage, 0.2)
+    (gradient,) = torch.autograd.grad(loss, mean)
+    assert float(-gradient.sum()) == pytest.approx(2.0, rel=0.02)
+
+
+def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
+    """Whatever the scale of rewards."""
+    found = normalised(torch.randn(100, 1) * 7 + 3)
+    assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
+    assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
+
+
+def data_of(policy: Policy, rows: int = 400) -> PolicyData:
+    """Suggestions that are the better the larger their first dimension is."""
+    obs = torch.randn(rows, 4)
+    with torch.no_grad():
+        mean = policy(obs)
+    action = mean.unsqueeze(1) + policy.std().detach() * torch.randn(rows, 1, 2)
+    return PolicyData(
+        obs=obs,
+        action=action,
+        log_prob=log_density(mean, policy.log_std.detach(), action),
+        advantage=normalised(action[..., 0]),
+        mean=mean,
+        log_std=policy.log_std.detach().clone(),
+        distil_target=None,
+    )
+
+
+@pytest.mark.parametrize("loss", ["score", "clip"])
+def test_policy_moves_to_what_was_better(loss: str) -> None:
+    """The sign of either loss."""
+    hyper = on_policy("modern", "a2s", {"policy_loss": loss, "learning_rate": 1e-3})
+    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    data = data_of(policy)
+    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    found = improve(policy, adam, data, hyper, learning_rate=1e-3, generator=generator)
+    moved = (policy(data.obs) - data.mean).mean(0)
+    assert float(moved[0].detach()) > 0.01
+    assert found.kl > 0.0
+
+
+def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
+    """A pass is finished, then no other begins."""
+    hyper = on_policy("modern", "a2s", {"kl_stop": 0.005})
+    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    data = data_of(policy)
+    found = improve(policy, adam, data, hyper, learning_rate=3e-3, generator=generator)
+    assert found.epochs < hyper.policy_epochs
+    assert found.kl > hyper.kl_stop
+
+
+def test_std_is_held_at_its_floor() -> None:
+    """Though the advantage asks for less."""
+    hyper = on_policy("modern", "a2s", {"std": 0.5, "std_floor": 0.499})
+    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    data = data_of(policy)
+    narrow = -(data.action - data.mean.unsqueeze(1)).square().sum(2)
+    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    narrower = PolicyData(
+        obs=data.obs,
+        action=data.action,
+        log_prob=data.log_prob,
+        advantage=normalised(narrow),
+        mean=data.mean,
+        log_std=data.log_std,
+        distil_target=None,
+    )
+    improve(policy, adam, narrower, hyper, learning_rate=1e-2, generator=generator)
+    torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))

@@ -1,0 +1,666 @@
+"""Messages to bytes and back, and everything that is not a message."""
+
+import struct
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from a2s.protocol.codec import MAX_BYTES, MIB, SCHEMA_VERSION, decode, encode
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.messages import (
+    Ack,
+    ActorStatus,
+    Array,
+    Hello,
+    Message,
+    Notice,
+    RecoveryEvent,
+    Refusal,
+    RunStatus,
+    Segment,
+    Spaces,
+    Weights,
+    Welcome,
+)
+
+KINDS = get_args(Message)
+
+# Every byte is written by hand, field by field: a fix* header carries its own size
+# (\x8N map, \x9N array, \xaN str), \xcb is a float64, \xc4 a bin of up to 255 bytes.
+F4_1 = b"\x83\xa5dtype\xa3<f4\xa5shape\x91\x01\xa4data\xc4\x04"  # a float32 [1] follows
+F4_1_1 = b"\x83\xa5dtype\xa3<f4\xa5shape\x92\x01\x01\xa4data\xc4\x04"  # a float32 [1, 1] follows
+ONE, MINUS_ONE, HALF = b"\x00\x00\x80\x3f", b"\x00\x00\x80\xbf", b"\x00\x00\x00\x3f"
+FLOAT64_HALF = b"\xcb\x3f\xe0\x00\x00\x00\x00\x00\x00"
+
+
+def f32(values: object) -> Array:
+    """Make a float32 array."""
+    return np.array(values, np.float32)
+
+
+SPACES = Spaces(obs_size=1, action_low=f32([-1]), action_high=f32([1]))
+SPACES_BYTES = (
+    b"\x83\xa8obs_size\x01\xaaaction_low" + F4_1 + MINUS_ONE + b"\xabaction_high" + F4_1 + ONE
+)
+NOTICE = Notice(
+    generation=1, epoch=0, version=2, quota_steps=300, quota_episodes=0, num_bytes=2, sha256="ab"
+)
+NOTICE_FIELDS = (
+    b"\xaageneration\x01\xa5epoch\x00\xa7version\x02\xabquota_steps\xcd\x01\x2c"
+    b"\xaequota_episodes\x00\xa9num_bytes\x02\xa6sha256\xa2ab"
+)
+ACTOR_STATUS = ActorStatus(
+    actor="h-1",
+    slot=0,
+    weights_version=2,
+    epoch=0,
+    env_steps=128,
+    episodes=1,
+    segments_sent=3,
+    segments_answered=2,
+    spooled_steps=5,
+    leaving=True,
+)
+ACTOR_STATUS_FIELDS = (
+    b"\xa5actor\xa3h-1\xa4slot\x00\xafweights_version\x02\xa5epoch\x00\xa9env_steps\xcc\x80"
+    b"\xa8episodes\x01\xadsegments_sent\x03\xb1segments_answered\x02\xadspooled_steps\x05"
+    b"\xa7leaving\xc3"
+)
+GOLDEN: list[tuple[Message, bytes]] = [
+    (
+        Hello(actor="h-1", num_envs=2, env_id="E", spaces=SPACES),
+        b"\x86\xa3a2s\x01\xa4kind\xa5Hello"
+        b"\xa5actor\xa3h-1\xa8num_envs\x02\xa6env_id\xa1E\xa6spaces" + SPACES_BYTES,
+    ),
+    (
+        Hello(actor="h-1", num_envs=0, env_id="", spaces=None),
+        b"\x86\xa3a2s\x01\xa4kind\xa5Hello"
+        b"\xa5actor\xa3h-1\xa8num_envs\x00\xa6env_id\xa0\xa6spaces\xc0",
+    ),
+    (
+        Welcome(
+            run="r",
+            generation=1,
+            env_id="E",
+            spaces=SPACES,
+            num_envs=8,
+            clock="lockstep",
+            slot=-1,
+            seed=65536,
+        ),
+        b"\x8a\xa3a2s\x01\xa4kind\xa7Welcome"
+        b"\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E\xa6spaces" + SPACES_BYTES +
+        b"\xa8num_envs\x08\xa5clock\xa8lockstep\xa4slot\xff\xa4seed\xce\x00\x01\x00\x00",
+    ),
+    (Refusal(reason="no"), b"\x83\xa3a2s\x01\xa4kind\xa7Refusal\xa6reason\xa2no"),
+    (
+        Segment(
+            actor="h-1",
+            seq=7,
+            generation=1,
+            epoch=0,
+            weights_version=2,
+            env=0,
+            obs=f32([[1]]),
+            suggestion=f32([[0.5]]),
+            log_prob=f32([-1]),
+            reward=f32([1]),
+            final_obs=f32([0.5]),
+            terminated=True,
+            truncated=False,
+            episode_return=0.5,
+            episode_length=1,
+        ),
+        b"\xde\x00\x11\xa3a2s\x01\xa4kind\xa7Segment"  # 17 entries: a map 16
+        b"\xa5actor\xa3h-1\xa3seq\x07\xaageneration\x01\xa5epoch\x00\xafweights_version\x02"
+        b"\xa3env\x00\xa3obs" + F4_1_1 + ONE + b"\xaasuggestion" + F4_1_1 + HALF +
+        b"\xa8log_prob" + F4_1 + MINUS_ONE + b"\xa6reward" + F4_1 + ONE +
+        b"\xa9final_obs" + F4_1 + HALF +
+        b"\xaaterminated\xc3\xa9truncated\xc2"
+        b"\xaeepisode_return" + FLOAT64_HALF + b"\xaeepisode_length\x01",
+    ),
+    (
+        Ack(
+            verdict="accepted", reason="", generation=1, epoch=0, weights_version=2, wait_s=0.5
+        ),
+        b"\x88\xa3a2s\x01\xa4kind\xa3Ack\xa7verdict\xa8accepted\xa6reason\xa0"
+        b"\xaageneration\x01\xa5epoch\x00\xafweights_version\x02\xa6wait_s" + FLOAT64_HALF,
+    ),
+    (NOTICE, b"\x89\xa3a2s\x01\xa4kind\xa6Notice" + NOTICE_FIELDS),
+    (
+        Weights(notice=NOTICE, graph=b"\x00\xff"),
+        b"\x84\xa3a2s\x01\xa4kind\xa7Weights"
+        b"\xa6notice\x87" + NOTICE_FIELDS + b"\xa5graph\xc4\x02\x00\xff",
+    ),
+    (
+        RecoveryEvent(
+            id=1,
+            generation=1,
+            epoch=2,
+            draw=0.5,
+            probability=0.5,
+            r=0.5,
+            r_best=0.5,
+            restored_version=3,
+            weights_version=4,
+        ),
+        b"\x8b\xa3a2s\x01\xa4kind\xadRecoveryEvent\xa2id\x01\xaageneration\x01\xa5epoch\x02"
+        b"\xa4draw" + FLOAT64_HALF + b"\xabprobability" + FLOAT64_HALF +
+        b"\xa1r" + FLOAT64_HALF + b"\xa6r_best" + FLOAT64_HALF +
+        b"\xb0restored_version\x03\xafweights_version\x04",
+    ),
+    (ACTOR_STATUS, b"\x8c\xa3a2s\x01\xa4kind\xabActorStatus" + ACTOR_STATUS_FIELDS),
+    (
+        RunStatus(
+            run="r",
+            generation=1,
+            env_id="E",
+            env_steps=2,
+            total_steps=3,
+            episodes=4,
+            updates=5,
+            weights_version=6,
+            epoch=7,
+            return_mean=0.5,
+            env_steps_per_s=0.5,
+            waiting_for="",
+            actors=(ACTOR_STATUS,),
+        ),
+        b"\x8f\xa3a2s\x01\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\xa9env_steps\x02\xabtotal_steps\x03\xa8episodes\x04\xa7updates\x05"
+        b"\xafweights_version\x06\xa5epoch\x07\xabreturn_mean" + FLOAT64_HALF +
+        b"\xafenv_steps_per_s" + FLOAT64_HALF +
+        b"\xabwaiting_for\xa0\xa6actors\x91\x8a" + ACTOR_STATUS_FIELDS,
+    ),
+]  # fmt: skip
+
+names = st.builds(str.__add__, st.sampled_from("aZ0_"), st.text("abcXYZ019_.-", max_size=95))
+texts = st.text(st.characters(codec="utf-8"), max_size=20)
+counts = st.integers(0, 2**63 - 1)
+integers = st.integers(-(2**63), 2**64 - 1)
+numbers = st.floats()  # NaN too: a mean of no episodes
+finite = st.floats(allow_nan=False, allow_infinity=False)
+sizes = st.integers(1, 4)
+
+
+def floats32(*shape: int) -> st.SearchStrategy[np.ndarray]:
+    """Make finite float32 arrays of a shape."""
+    return hnp.arrays("<f4", shape, elements=st.floats(-(2.0**99), 2.0**99, width=32))
+
+
+@st.composite
+def spaces(draw: st.DrawFn) -> Spaces:
+    """Make bounds where the lower one is lower."""
+    low = draw(floats32(draw(sizes)))
+    return Spaces(
+        obs_size=draw(st.integers(1, 2**32)),
+        action_low=low,
+        action_high=np.abs(low) * np.float32(2) + np.float32(1),
+    )
+
+
+@st.composite
+def segments(draw: st.DrawFn) -> Segment:
+    """Make segments whose arrays agree."""
+    t, d, a = draw(sizes), draw(sizes), draw(sizes)
+    end = draw(st.sampled_from([(False, False), (True, False), (False, True)]))
+    return Segment(
+        actor=draw(names),
+        seq=draw(counts),
+        generation=draw(counts),
+        epoch=draw(counts),
+        weights_version=draw(counts),
+        env=draw(counts),
+        obs=draw(floats32(t, d)),
+        suggestion=draw(floats32(t, a)),
+        log_prob=draw(floats32(t)),
+        reward=draw(floats32(t)),
+        final_obs=draw(floats32(d)),
+        terminated=end[0],
+        truncated=end[1],
+        episode_return=draw(finite),
+        episode_length=draw(st.integers(t, 2**63 - 1)),
+    )
+
+
+asking = st.builds(Hello, actor=names, num_envs=st.just(0), env_id=st.just(""), spaces=st.none())
+joining = st.builds(
+    Hello, actor=names, num_envs=st.integers(1, 4096), env_id=texts.filter(bool), spaces=spaces()
+)
+notices = st.builds(
+    Notice,
+    generation=integers,
+    epoch=integers,
+    version=integers,
+    quota_steps=st.integers(1, 2**63),
+    quota_episodes=integers,
+    num_bytes=integers,
+    sha256=texts,
+)
+statuses = st.builds(
+    ActorStatus,
+    actor=names,
+    slot=integers,
+    weights_version=integers,
+    epoch=integers,
+    env_steps=integers,
+    episodes=integers,
+    segments_sent=integers,
+    segments_answered=integers,
+    spooled_steps=integers,
+    leaving=st.booleans(),
+)
+ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
+    Hello: asking | joining,
+    Welcome: st.builds(
+        Welcome,
+        run=texts,
+        generation=integers,
+        env_id=texts,
+        spaces=spaces(),
+        num_envs=integers,
+        clock=st.sampled_from(["lockstep", "async"]),
+        slot=integers,
+        seed=integers,
+    ),
+    Refusal: st.builds(Refusal, reason=texts),
+    Segment: segments(),
+    Ack: st.builds(
+        Ack,
+        verdict=st.sampled_from(["accepted", "duplicate", "stale", "refused"]),
+        reason=texts,
+        generation=integers,
+        epoch=integers,
+        weights_version=integers,
+        wait_s=st.floats(0, allow_infinity=False),
+    ),
+    Notice: notices,
+    Weights: st.builds(Weights, notice=notices, graph=st.binary(max_size=300)),
+    RecoveryEvent: st.builds(
+        RecoveryEvent,
+        id=integers,
+        generation=integers,
+        epoch=integers,
+        draw=numbers,
+        probability=numbers,
+        r=numbers,
+        r_best=numbers,
+        restored_version=integers,
+        weights_version=integers,
+    ),
+    ActorStatus: statuses,
+    RunStatus: st.builds(
+        RunStatus,
+        run=texts,
+        generation=integers,
+        env_id=texts,
+        env_steps=integers,
+        total_steps=integers,
+        episodes=integers,
+        updates=integers,
+        weights_version=integers,
+        epoch=integers,
+        return_mean=numbers,
+        env_steps_per_s=numbers,
+        waiting_for=texts,
+        actors=st.lists(statuses, max_size=3).map(tuple),
+    ),
+}
+anything = st.recursive(
+    st.none() | st.booleans() | integers | numbers | texts | st.binary(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(texts, inner, max_size=4),
+    max_leaves=8,
+)
+
+
+def plain(value: Any) -> Any:
+    """Turn a message into nested tuples that compare by type and value."""
+    if is_dataclass(value):
+        return (type(value), *((f.name, plain(getattr(value, f.name))) for f in fields(value)))
+    if isinstance(value, np.ndarray):
+        return (value.dtype.str, value.shape, value.tobytes())
+    if isinstance(value, tuple):
+        return tuple(map(plain, value))
+    return (type(value), repr(value))  # repr: NaN equals itself
+
+
+def refusal_of(payload: bytes, *kinds: type) -> str:
+    """Decode something that is malformed; return the reason, which an operator can read."""
+    with pytest.raises(MalformedMessageError) as caught:
+        decode(payload, *kinds or KINDS)
+    reason = str(caught.value)
+    assert reason
+    assert len(reason.splitlines()) == 1
+    assert len(reason) < 500
+    return reason
+
+
+def body_of(kind: type) -> dict[str, Any]:
+    """Return the map that the golden message of a kind is on the wire."""
+    body: dict[str, Any] = msgpack.unpackb(next(b for m, b in GOLDEN if type(m) is kind))
+    return body
+
+
+def altered(kind: type, /, **changes: Any) -> bytes:
+    """Pack the golden message of a kind with some entries changed."""
+    payload: bytes = msgpack.packb(body_of(kind) | changes)
+    return payload
+
+
+def array(data: bytes, shape: Any, dtype: Any = "<f4") -> dict[str, Any]:
+    """Return an array as it is on the wire."""
+    return {"dtype": dtype, "shape": shape, "data": data}
+
+
+def test_there_is_a_golden_message_a_strategy_and_a_limit_for_every_kind() -> None:
+    """A new kind cannot be forgotten here."""
+    assert {type(m) for m, _ in GOLDEN} == set(ANY_MESSAGE) == set(MAX_BYTES) == set(KINDS)
+
+
+@pytest.mark.parametrize(("message", "payload"), GOLDEN)
+def test_the_bytes_of_a_message_never_change(message: Message, payload: bytes) -> None:
+    """Actors of another language or release read them: a change needs a new schema version."""
+    assert SCHEMA_VERSION == 1
+    assert encode(message) == payload
+    assert plain(decode(payload, type(message))) == plain(message)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(deadline=None, max_examples=40)
+@given(data=st.data())
+def test_every_message_survives_the_round_trip(kind: type, data: st.DataObject) -> None:
+    """Types, values, shapes and every bit of the arrays; also when other kinds are expected."""
+    message = data.draw(ANY_MESSAGE[kind])
+    assert plain(decode(encode(message), kind)) == plain(message)
+    assert plain(decode(encode(message), *KINDS)) == plain(message)
+
+
+def test_arrays_of_any_layout_are_sent_as_little_endian_float32_in_c_order() -> None:
+    """A view, a transpose or a float64 array is the sender's business."""
+    obs: Any = np.arange(12, dtype=">f8").reshape(3, 4).T[::2]  # [2, 3]
+    message = Segment(
+        actor="a",
+        seq=0,
+        generation=0,
+        epoch=0,
+        weights_version=0,
+        env=0,
+        obs=obs,
+        suggestion=np.zeros((2, 1), np.float32),
+        log_prob=np.zeros(2, np.float32),
+        reward=np.zeros(2, np.float32),
+        final_obs=np.zeros(3, np.float32),
+        terminated=False,
+        truncated=False,
+        episode_return=0.0,
+        episode_length=2,
+    )
+    found = decode(encode(message), Segment).obs
+    assert found.dtype == np.dtype("<f4")
+    assert found.tolist() == [[0.0, 4.0, 8.0], [2.0, 6.0, 10.0]]
+
+
+def test_decoded_arrays_cannot_be_changed() -> None:
+    """A message is immutable, its arrays included."""
+    segment = decode(next(b for m, b in GOLDEN if type(m) is Segment), Segment)
+    with pytest.raises(ValueError, match="read-only"):
+        segment.reward[0] = 1
+
+
+@settings(deadline=None, max_examples=500)
+@given(payload=st.binary(max_size=200))
+def test_garbage_is_malformed_and_nothing_else(payload: bytes) -> None:
+    """Whatever arrives, a receiver has one exception to handle."""
+    refusal_of(payload)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_truncated_or_extended_payload_is_malformed(kind: type) -> None:
+    """Every proper prefix is refused, and so is a payload with something after it."""
+    payload = next(b for m, b in GOLDEN if type(m) is kind)
+    for end in range(len(payload)):
+        refusal_of(payload[:end], kind)
+    assert "extra data" in refusal_of(payload + b"\xc0", kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(deadline=None, max_examples=100)
+@given(data=st.data())
+def test_flipped_bytes_and_foreign_values_never_raise_anything_else(
+    kind: type, data: st.DataObject
+) -> None:
+    """Damage may leave a message, but never another exception than MalformedMessageError."""
+    payload = bytearray(next(b for m, b in GOLDEN if type(m) is kind))
+    for place in data.draw(st.lists(st.integers(0, len(payload) - 1), max_size=3)):
+        payload[place] = data.draw(st.integers(0, 255))
+    field = data.draw(st.sampled_from(sorted(body_of(kind))))
+    for damaged in (bytes(payload), altered(kind, **{field: data.draw(anything)})):
+        try:
+            decode(damaged, kind)
+        except MalformedMessageError:
+            refusal_of(damaged, kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_payload_over_the_limit_of_its_kind_is_refused_unread(kind: type) -> None:
+    """The size is looked at first, so zeros that are no message still fail for their size."""
+    reason = refusal_of(bytes(MAX_BYTES[kind] + 1), kind)
+    assert reason == (
+        f"{kind.__name__}: found {MAX_BYTES[kind] + 1} bytes, expected at most {MAX_BYTES[kind]}"
+    )
+
+
+def test_a_message_over_the_limit_is_not_sent() -> None:
+    """The sender is told, rather than the receiver's answer waited for."""
+    with pytest.raises(MalformedMessageError, match="expected at most 1048576"):
+        encode(Refusal(reason="x" * MIB))
+
+
+@pytest.mark.parametrize("version", [0, 2, -1, True, 1.0, "1", None, [1]])
+def test_another_schema_version_is_refused(version: Any) -> None:
+    """Nothing else of such a message is read."""
+    reason = refusal_of(altered(Ack, a2s=version, kind="Future", colour="red"))
+    assert reason == f"peer speaks schema {version!r}, this is 1"
+
+
+def test_a_message_without_a_schema_version_is_refused() -> None:
+    """Some other program's map."""
+    assert "schema None" in refusal_of(msgpack.packb({"hello": "world"}))
+
+
+@pytest.mark.parametrize("found", ["Notice", "Spaces", "Message", "", None, 3, ["Ack"], {}])
+def test_another_kind_than_the_expected_is_refused(found: Any) -> None:
+    """Spaces is a part of messages, not one."""
+    reason = refusal_of(altered(Ack, kind=found), Ack, Refusal)
+    assert reason == f"kind: found {found!r}, expected Ack or Refusal"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_missing_field_is_named(kind: type) -> None:
+    """No field has a default on the wire."""
+    for name in [f.name for f in fields(kind)]:
+        body = body_of(kind)
+        del body[name]
+        assert f"missing fields ['{name}']" in refusal_of(msgpack.packb(body), kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_unknown_field_is_named(kind: type) -> None:
+    """A sender that knows more says so with another schema version."""
+    assert "unknown fields ['colour']" in refusal_of(altered(kind, colour="red"), kind)
+
+
+def test_fields_of_nested_maps_are_checked_as_well() -> None:
+    """A notice within weights and a status within a run's status are messages too."""
+    notice = {k: v for k, v in body_of(Notice).items() if k not in ("a2s", "kind", "version")}
+    assert "missing fields ['version']" in refusal_of(altered(Weights, notice=notice))
+    assert "ActorStatus" in refusal_of(altered(RunStatus, actors=[{"actor": "a"}]))
+    assert "Spaces" in refusal_of(altered(Welcome, spaces=None))
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        (Ack, "verdict", "maybe"),
+        (Ack, "verdict", ["accepted"]),
+        (Ack, "reason", b"bytes"),
+        (Ack, "generation", 1.0),
+        (Ack, "generation", True),
+        (Ack, "wait_s", "1"),
+        (Ack, "wait_s", True),
+        (Ack, "wait_s", None),
+        (Welcome, "clock", "turn-based"),
+        (Segment, "seq", "7"),
+        (Segment, "terminated", 1),
+        (Segment, "reward", [1.0]),
+        (Segment, "reward", None),
+        (Segment, "actor", None),
+        (Hello, "spaces", []),
+        (Weights, "graph", "text"),
+        (RunStatus, "actors", {}),
+        (RunStatus, "actors", "ab"),
+        (ActorStatus, "leaving", 0),
+        (ActorStatus, "env_steps", msgpack.ExtType(5, b"x")),
+    ],
+)
+def test_a_wrong_type_is_refused_by_name(kind: type, field: str, value: Any) -> None:
+    """Nothing is converted, except an integer where a number is asked for."""
+    assert field in refusal_of(altered(kind, **{field: value}), kind).lower()
+
+
+def test_an_integer_is_a_number() -> None:
+    """Msgpack libraries of other languages shorten 2.0 to 2."""
+    ack = decode(altered(Ack, wait_s=2), Ack)
+    assert (type(ack.wait_s), ack.wait_s) == (float, 2.0)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), -1, -0.5])
+def test_an_impossible_wait_is_refused(value: float) -> None:
+    """An actor would sleep for it."""
+    assert "wait_s" in refusal_of(altered(Ack, wait_s=value))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("field", ["obs", "suggestion", "log_prob", "reward", "final_obs"])
+def test_a_non_finite_number_in_a_segment_is_refused(field: str, bad: float) -> None:
+    """One NaN reward would end the learning."""
+    shape = body_of(Segment)[field]["shape"]
+    payload = altered(Segment, **{field: array(struct.pack("<f", bad), shape)})
+    reason = refusal_of(payload)
+    assert reason == f"segment h-1/7: {field}: found 1 non-finite values, expected finite numbers"
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        pytest.param(array(bytes(4), [1], ">f4"), id="big-endian"),
+        pytest.param(array(bytes(8), [1], "<f8"), id="float64"),
+        pytest.param(array(bytes(4), [1], "float32"), id="numpy's name"),
+        pytest.param(array(bytes(8), [1], "|O"), id="object"),
+        pytest.param(array(bytes(4), [1], None), id="no dtype"),
+        pytest.param(array(bytes(4), [-1]), id="negative size"),
+        pytest.param(array(bytes(4), [-1, -1]), id="negative sizes with the right product"),
+        pytest.param(array(bytes(4), [2]), id="too few bytes"),
+        pytest.param(array(bytes(8), [1]), id="too many bytes"),
+        pytest.param(array(bytes(3), [1]), id="not whole numbers"),
+        pytest.param(array(b"", [0]), id="empty"),
+        pytest.param(array(bytes(4), []), id="no dimension"),
+        pytest.param(array(bytes(4), [1, 1, 1]), id="three dimensions"),
+        pytest.param(array(b"", [2**63, 0]), id="a size beyond int64 and a zero"),
+        pytest.param(array(b"", [0, 2**62]), id="a zero and a size beyond memory"),
+        pytest.param(array(b"", [2**32, 2**32]), id="a product beyond int64"),
+        pytest.param(array(bytes(4), [1.0]), id="size is a float"),
+        pytest.param(array(bytes(4), [True]), id="size is a bool"),
+        pytest.param(array(bytes(4), 1), id="shape is a number"),
+        pytest.param(array(bytes(4), {"0": 1}), id="shape is a map"),
+        pytest.param({**array(bytes(4), [1]), "data": "text"}, id="data is text"),
+        pytest.param({**array(bytes(4), [1]), "data": [0, 0, 0, 0]}, id="data is an array"),
+        pytest.param({"dtype": "<f4", "shape": [1]}, id="no data"),
+        pytest.param({**array(bytes(4), [1]), "order": "F"}, id="an unknown entry"),
+        pytest.param([0.0], id="a list"),
+    ],
+)
+def test_a_bad_array_is_refused(value: Any) -> None:
+    """The one array encoding is checked before numpy sees anything."""
+    refusal_of(altered(Segment, reward=value), Segment)
+
+
+def test_arrays_that_disagree_about_their_length_are_refused() -> None:
+    """The reason shows every length."""
+    reason = refusal_of(altered(Segment, reward=array(bytes(8), [2])))
+    assert reason == (
+        "segment h-1/7: arrays disagree about T: found {'obs': 1, 'suggestion': 1, "
+        "'log_prob': (1,), 'reward': (2,)}, expected one length"
+    )
+
+
+@pytest.mark.parametrize("depth", [10, 400, 990, 1020, 5000, 500_000])
+@pytest.mark.parametrize("level", [b"\x91", b"\x81\xa1k"], ids=["arrays", "maps"])
+@pytest.mark.parametrize("field", ["a2s", "kind", "actor", "num_envs", "spaces"])
+def test_deep_nesting_is_refused(field: str, level: bytes, depth: int) -> None:
+    """Neither unpacking nor the reason's text may run out of stack."""
+    payload = b"\x86"
+    for name, value in body_of(Hello).items():
+        deep = level * depth + b"\xc0"
+        payload += msgpack.packb(name) + (deep if name == field else msgpack.packb(value))
+    refusal_of(payload, Hello)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        pytest.param(b"\xdd\xff\xff\xff\xff", id="array"),
+        pytest.param(b"\xdf\xff\xff\xff\xff", id="map"),
+        pytest.param(b"\xdb\xff\xff\xff\xff", id="text"),
+        pytest.param(b"\xc6\xff\xff\xff\xff", id="bytes"),
+        pytest.param(b"\xc9\xff\xff\xff\xff\x05", id="extension"),
+    ],
+)
+def test_a_huge_declared_length_is_refused_without_its_memory(header: bytes) -> None:
+    """Four gigabytes are promised by five bytes."""
+    refusal_of(header)
+    refusal_of(header * 100)
+    refusal_of(b"\x81\xa3a2s" + header)
+
+
+def test_a_payload_of_nothing_but_tiny_maps_is_refused() -> None:
+    """Sixteen megabytes would become more than a gigabyte of Python objects."""
+    count = MAX_BYTES[Segment] - 5
+    payload = b"\xdd" + struct.pack(">I", count) + b"\x80" * count
+    assert refusal_of(payload, Segment) == (
+        "Segment: not msgpack (more than 65536 maps and arrays)"
+    )
+
+
+@pytest.mark.parametrize("field", ["a2s", "kind", "actor", "num_envs", "spaces"])
+def test_the_reason_stays_short_whatever_was_found(field: str) -> None:
+    """It goes into answers and logs."""
+    for found in ("x\n" * 300_000, b"x" * 600_000, [[1] * 9] * 9, {"k" * 300_000: 1}):
+        refusal_of(altered(Hello, **{field: found}), Hello)
+    refusal_of(altered(Hello, **{"y\n" * 300_000: 1}), Hello)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        pytest.param(b"\x81\x01\x02", id="integer key"),
+        pytest.param(b"\x81\xa1\xff\x02", id="key is not UTF-8"),
+        pytest.param(b"\x82\xa3a2s\x01\xc4\x04kind\xa3Ack", id="key is bytes"),
+        pytest.param(b"\xc1", id="the code that is never used"),
+        pytest.param(b"\xd7\xff" + b"\xff" * 8, id="impossible timestamp"),
+        pytest.param(b"\xc0", id="nil"),
+        pytest.param(b"\x90", id="array"),
+        pytest.param(b"", id="nothing"),
+        pytest.param(b"\x80\x04\x95\x05\x00\x00\x00\x00\x00\x00\x00\x8c\x01a\x94.", id="a pickle"),
+        pytest.param(b'{"a2s": 1, "kind": "Ack"}', id="JSON"),
+    ],
+)
+def test_what_is_not_a_map_of_names_is_refused(payload: bytes) -> None:
+    """Other formats included."""
+    refusal_of(payload)

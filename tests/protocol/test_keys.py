@@ -1,0 +1,81 @@
+"""The keys of a run."""
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import Keys
+
+
+def all_keys(keys: Keys, actor: str) -> list[str]:
+    """Return every key of a run."""
+    return [
+        keys.hello,
+        keys.segment,
+        keys.notice,
+        keys.weights,
+        keys.recovery,
+        keys.actor_status(actor),
+        keys.status,
+        keys.live_learner,
+        keys.live_actor(actor),
+    ]
+
+
+def test_the_keys_are_those_of_the_protocol() -> None:
+    """An actor of another language has them written in its source."""
+    assert all_keys(Keys("walk"), "h-1") == [
+        "a2s/walk/hello",
+        "a2s/walk/segment",
+        "a2s/walk/notice",
+        "a2s/walk/weights",
+        "a2s/walk/recovery",
+        "a2s/walk/actor/h-1",
+        "a2s/walk/status",
+        "a2s/walk/live/learner",
+        "a2s/walk/live/actor/h-1",
+    ]
+
+
+def test_no_two_keys_of_a_run_overlap() -> None:
+    """Not even those of every actor: a listener of one hears nothing of another."""
+    expressions = [zenoh.KeyExpr(key) for key in all_keys(Keys("r"), "*")]
+    for i, one in enumerate(expressions):
+        assert [one.intersects(other) for other in expressions[:i]] == [False] * i
+
+
+def test_the_keys_of_every_actor_include_those_of_each() -> None:
+    """But not those of another run's."""
+    every, keys = Keys("r"), Keys("r")
+    for wide, narrow in (
+        (every.actor_status(), keys.actor_status("h-1")),
+        (every.live_actor(), keys.live_actor("h-1")),
+    ):
+        assert zenoh.KeyExpr(wide).includes(zenoh.KeyExpr(narrow))
+    assert not zenoh.KeyExpr(every.live_actor()).includes(
+        zenoh.KeyExpr(Keys("other").live_actor("h-1"))
+    )
+
+
+@given(st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}", fullmatch=True))
+def test_every_valid_name_gives_valid_keys(name: str) -> None:
+    """Zenoh takes them as they are, without a wildcard in them."""
+    for key in all_keys(Keys(name), name):
+        assert str(zenoh.KeyExpr(key)) == str(zenoh.KeyExpr.autocanonize(key)) == key
+        assert "*" not in key
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "*", "**", "a/b", "a b", "a\n", "\n", ".", "..", "-x", "a$*", "a?b", "a#b", "@a", "é",
+     "a" * 97],
+)  # fmt: skip
+def test_a_name_that_cannot_be_part_of_a_key_is_refused(name: str) -> None:
+    """The user typed it, so the user is told what a name may be."""
+    with pytest.raises(UsageError) as caught:
+        Keys(name)
+    assert str(caught.value) == (
+        f"run name: found {name!r}, expected letters, digits and _ . - (at most 96)"
+    )

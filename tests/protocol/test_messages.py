@@ -1,0 +1,258 @@
+"""What messages demand of themselves, whoever makes them."""
+
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+
+from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.messages import Ack, Array, Hello, Notice, Segment, Spaces, is_name
+
+
+def zeros(*shape: int) -> Array:
+    """Make float32 zeros."""
+    return np.zeros(shape, np.float32)
+
+
+def make_spaces(**changes: Any) -> Spaces:
+    """Make the spaces of D = 3, A = 2."""
+    values: dict[str, Any] = {"obs_size": 3, "action_low": -1 - zeros(2), "action_high": zeros(2)}
+    return Spaces(**values | changes)
+
+
+def make_hello(**changes: Any) -> Hello:
+    """Make a joining hello."""
+    values: dict[str, Any] = {"actor": "h-1", "num_envs": 2, "env_id": "E", "spaces": make_spaces()}
+    return Hello(**values | changes)
+
+
+def make_segment(**changes: Any) -> Segment:
+    """Make a segment of T = 4, D = 3, A = 2."""
+    values: dict[str, Any] = {
+        "actor": "h-1",
+        "seq": 7,
+        "generation": 1,
+        "epoch": 0,
+        "weights_version": 2,
+        "env": 0,
+        "obs": zeros(4, 3),
+        "suggestion": zeros(4, 2),
+        "log_prob": zeros(4),
+        "reward": zeros(4),
+        "final_obs": zeros(3),
+        "terminated": False,
+        "truncated": False,
+        "episode_return": 0.0,
+        "episode_length": 4,
+    }
+    return Segment(**values | changes)
+
+
+def make_notice(**changes: Any) -> Notice:
+    """Make a notice."""
+    values: dict[str, Any] = {
+        "generation": 3,
+        "epoch": 0,
+        "version": 8,
+        "quota_steps": 100,
+        "quota_episodes": 0,
+        "num_bytes": 1,
+        "sha256": "00",
+    }
+    return Notice(**values | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"obs_size": 0}, "spaces: obs_size: found 0, expected at least 1"),
+        ({"obs_size": -3}, "spaces: obs_size: found -3, expected at least 1"),
+        ({"action_low": zeros(0)}, "spaces: action_low: found (0,), expected shape [A]"),
+        ({"action_low": zeros(2, 1)}, "spaces: action_low: found (2, 1), expected shape [A]"),
+        ({"action_high": zeros(3)}, "spaces: action_high: found (3,), expected (2,)"),
+        (
+            {"action_high": zeros(2) + np.inf},
+            "spaces: action_high: found 2 non-finite values, expected finite numbers",
+        ),
+        (
+            {"action_low": zeros(2)},  # as high as action_high
+            "spaces: found low >= high, expected low below high everywhere",
+        ),
+    ],
+)
+def test_impossible_spaces_are_refused(changes: dict[str, Any], reason: str) -> None:
+    """An action must have somewhere to go in every dimension."""
+    with pytest.raises(MalformedMessageError) as caught:
+        make_spaces(**changes)
+    assert str(caught.value) == reason
+
+
+@pytest.mark.parametrize(
+    ("changes", "difference"),
+    [
+        ({}, ""),
+        ({"obs_size": 4}, "obs_size 4, expected 3"),
+        (
+            {"action_low": -1 - zeros(1), "action_high": zeros(1)},
+            "action_size 1, expected 2",
+        ),
+        ({"action_low": zeros(2) - 2}, "action_low [-2.0, -2.0], expected [-1.0, -1.0]"),
+        ({"action_high": zeros(2) + 2}, "action_high [2.0, 2.0], expected [0.0, 0.0]"),
+    ],
+)
+def test_the_difference_of_spaces_says_what_the_other_has(
+    changes: dict[str, Any], difference: str
+) -> None:
+    """A refused actor reads it."""
+    assert make_spaces().differs_from(make_spaces(**changes)) == difference
+
+
+def test_a_hello_asks_or_joins() -> None:
+    """Asking says nothing, joining says everything."""
+    assert make_hello().spaces is not None
+    assert make_hello(num_envs=0, env_id="", spaces=None).spaces is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "subject"),
+    [
+        ({"actor": ""}, "hello: actor"),
+        ({"actor": "a/b"}, "hello: actor"),
+        ({"actor": "*"}, "hello: actor"),
+        ({"actor": "a" * 97}, "hello: actor"),
+        ({"env_id": ""}, "hello: env_id"),
+        ({"spaces": None}, "hello: env_id"),
+        ({"num_envs": 0}, "hello: num_envs"),
+        ({"num_envs": -1}, "hello: num_envs"),
+        ({"num_envs": 4097}, "hello: num_envs"),
+        ({"spaces": None, "env_id": ""}, "hello: num_envs"),
+    ],
+)
+def test_a_hello_that_does_neither_is_refused(changes: dict[str, Any], subject: str) -> None:
+    """Half of a joining hello would make half of a member."""
+    with pytest.raises(MalformedMessageError, match=f"^{subject}: found "):
+        make_hello(**changes)
+
+
+@pytest.mark.parametrize(
+    ("terminated", "truncated", "ends"),
+    [(False, False, False), (True, False, True), (False, True, True)],
+)
+def test_a_segment_knows_its_length_and_whether_the_episode_ended(
+    terminated: bool, truncated: bool, ends: bool
+) -> None:
+    """Either end is an end."""
+    segment = make_segment(terminated=terminated, truncated=truncated)
+    assert (segment.num_steps, segment.ends_episode) == (4, ends)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"obs": zeros(12)}, "found (12,), expected obs [T, D]"),
+        ({"obs": zeros(0, 3)}, "found (0, 3), expected obs [T, D]"),
+        ({"suggestion": zeros(4)}, "found (4,), expected suggestion [T, A]"),
+        ({"obs": zeros(5, 3)}, "arrays disagree about T"),
+        ({"suggestion": zeros(3, 2)}, "arrays disagree about T"),
+        ({"log_prob": zeros(4, 1)}, "arrays disagree about T"),
+        ({"reward": zeros(5)}, "arrays disagree about T"),
+        ({"reward": zeros()}, "arrays disagree about T"),
+        ({"final_obs": zeros(2)}, "found (2,), expected final_obs [D]"),
+        ({"final_obs": zeros(1, 3)}, "found (1, 3), expected final_obs [D]"),
+        ({"terminated": True, "truncated": True}, "found both ends, expected one of them"),
+        ({"seq": -1}, "seq: found -1, expected >= 0"),
+        ({"generation": -1}, "generation: found -1, expected >= 0"),
+        ({"epoch": -1}, "epoch: found -1, expected >= 0"),
+        ({"weights_version": -1}, "weights_version: found -1, expected >= 0"),
+        ({"env": -1}, "env: found -1, expected >= 0"),
+        ({"episode_length": 3}, "found 3, expected episode_length >= T"),
+        ({"episode_return": float("nan")}, "found nan, expected finite return"),
+        ({"episode_return": float("inf")}, "found inf, expected finite return"),
+        ({"obs": zeros(4, 3) + np.nan}, "obs: found 12 non-finite values"),
+        ({"suggestion": zeros(4, 2) + np.inf}, "suggestion: found 8 non-finite values"),
+        ({"log_prob": zeros(4) - np.inf}, "log_prob: found 4 non-finite values"),
+        ({"reward": zeros(4) + np.nan}, "reward: found 4 non-finite values"),
+        ({"final_obs": zeros(3) + np.nan}, "final_obs: found 3 non-finite values"),
+    ],
+)
+def test_a_segment_that_contradicts_itself_is_refused_at_the_sender(
+    changes: dict[str, Any], reason: str
+) -> None:
+    """The reason names the actor and the segment."""
+    with pytest.raises(MalformedMessageError) as caught:
+        make_segment(**changes)
+    number = changes.get("seq", 7)
+    assert str(caught.value).startswith(f"segment h-1/{number}: ")
+    assert reason in str(caught.value)
+
+
+def test_a_segment_of_a_nameless_actor_is_refused() -> None:
+    """Nobody could be told about it."""
+    with pytest.raises(MalformedMessageError, match=r"^segment: actor: found 'a/b', expected"):
+        make_segment(actor="a/b")
+
+
+def test_the_reason_does_not_grow_with_what_was_found() -> None:
+    """A peer chooses what it sends, not how long our logs are."""
+    with pytest.raises(MalformedMessageError) as caught:
+        make_segment(actor="x\n" * 100_000)
+    assert len(str(caught.value)) < 200
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("wait_s", [-0.1, float("nan"), float("inf")])
+def test_an_actor_cannot_be_told_to_wait_for_ever(wait_s: float) -> None:
+    """Nothing hangs."""
+    with pytest.raises(MalformedMessageError, match="ack: wait_s"):
+        Ack(
+            verdict="accepted",
+            reason="",
+            generation=1,
+            epoch=0,
+            weights_version=0,
+            wait_s=wait_s,
+        )
+
+
+@pytest.mark.parametrize("quota_steps", [0, -1])
+def test_a_quota_asks_for_something(quota_steps: int) -> None:
+    """Otherwise an actor in lockstep would send nothing and wait for nothing."""
+    with pytest.raises(MalformedMessageError, match="notice: quota_steps"):
+        make_notice(quota_steps=quota_steps)
+
+
+def test_weights_are_the_same_when_generation_and_version_are() -> None:
+    """A restarted learner may publish a version a second time, with other networks."""
+    assert make_notice(epoch=1).identity == make_notice(epoch=2).identity == (3, 8)
+    assert make_notice(generation=4).identity != make_notice().identity
+
+
+def test_messages_cannot_be_changed() -> None:
+    """They are handed from thread to thread."""
+    with pytest.raises(FrozenInstanceError):
+        make_notice().version = 9  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a", True),
+        ("host-0_b.2", True),
+        ("0", True),
+        ("_", True),
+        ("a" * 96, True),
+        ("a" * 97, False),
+        ("", False),
+        ("-a", False),
+        (".a", False),
+        ("a\n", False),
+        ("a/b", False),
+        ("a*", False),
+        ("ä", False),
+        ("٣", False),
+    ],
+)
+def test_a_name_is_ascii_and_fits_in_a_key(text: str, expected: bool) -> None:
+    """Letters, digits and three signs, not beginning with one that means something."""
+    assert is_name(text) is expected

@@ -1,0 +1,224 @@
+"""What only a real network has: endpoints, deadlines, and peers that die and come back."""
+
+import itertools
+import logging
+import socket
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+
+from a2s.protocol import zenoh_bus
+from a2s.protocol.errors import UnreachableError, UsageError
+from a2s.protocol.zenoh_bus import ZenohBus
+
+DEADLINE_S = 20.0
+LIVE = "a2s/r/live/actor/h-1"
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Find a port of this machine on which nobody listens."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def connect(endpoint: str) -> ZenohBus:
+    """Connect to a learner that is there."""
+    return ZenohBus.connect(endpoint, lambda: False)
+
+
+def ask_until_answered(bus: ZenohBus, key: str, payload: bytes) -> bytes:
+    """Ask again on silence, as actors do."""
+    end = time.monotonic() + DEADLINE_S
+    while (answer := bus.ask(key, payload, timeout_s=5.0)) is None:
+        assert time.monotonic() < end, "never answered"
+        threading.Event().wait(0.01)
+    return answer
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "",
+        "7447",
+        "127.0.0.1:7447",
+        "tcp/127.0.0.1",
+        "tcp/:7447",
+        "tcp/127.0.0.1:",
+        "tcp/127.0.0.1:0",
+        "tcp/127.0.0.1:65536",
+        "tcp/127.0.0.1:http",
+        "tcp://127.0.0.1:7447",
+        "http/127.0.0.1:7447",
+        "udp/127.0.0.1:7447",
+        "tcp/127.0.0.1:7447\n",
+        "tcp/127.0.0.1:7447?rel=0",
+        "tcp/127.0.0.1:7447#iface=lo",
+        " tcp/127.0.0.1:7447",
+        "unixsock-stream/",
+    ],
+)
+def test_a_malformed_endpoint_is_refused_before_the_network_is_touched(endpoint: str) -> None:
+    """The message shows what was typed, and a good one."""
+    for call in (ZenohBus.listen, connect):
+        with pytest.raises(UsageError) as caught:
+            call(endpoint)
+        assert str(caught.value) == (
+            f"endpoint: found {endpoint!r}, expected PROTOCOL/HOST:PORT, "
+            "for example tcp/127.0.0.1:7447"
+        )
+
+
+def test_a_port_in_use_is_said_in_one_line(endpoint: str) -> None:
+    """In the words of the operating system, with what to do; the port's owner is not harmed."""
+    with closing(ZenohBus.listen(endpoint)) as owner:
+        owner.answer("a2s/r/hello", lambda question: question)
+        with pytest.raises(UsageError) as caught:
+            ZenohBus.listen(endpoint)
+        assert str(caught.value) == (
+            f"cannot listen on {endpoint}: Address already in use; "
+            "choose another endpoint with --listen tcp/HOST:PORT"
+        )
+        with closing(connect(endpoint)) as actor:
+            assert ask_until_answered(actor, "a2s/r/hello", b"1") == b"1"
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
+def test_an_address_that_is_not_ours_is_said_in_one_line(host: str) -> None:
+    """192.0.2.1 belongs to nobody (RFC 5737), and .invalid to no name server (RFC 2606)."""
+    with pytest.raises(UsageError, match=rf"^cannot listen on tcp/{host}:7447: ") as caught:
+        ZenohBus.listen(f"tcp/{host}:7447")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_nobody_listening_is_said_within_the_deadline(endpoint: str) -> None:
+    """An attempt takes about a second; what happens after each is the caller's to decide."""
+    attempts = itertools.count(1)
+    begin = time.monotonic()
+    with pytest.raises(UnreachableError) as caught:
+        ZenohBus.connect(endpoint, lambda: next(attempts) < 3)
+    waited = time.monotonic() - begin
+    assert next(attempts) == 4
+    assert waited < 10.0
+    assert str(caught.value) in {
+        f"no learner at {endpoint} after {seconds} s; "
+        "start `a2s learner`, or name its endpoint with --connect"
+        for seconds in range(round(waited) + 1)
+    }
+
+
+def test_a_long_wait_says_what_it_waits_for(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And goes on waiting."""
+    monkeypatch.setattr(zenoh_bus, "_PATIENCE_S", 0.0)
+    answers = iter([True, False])
+    with caplog.at_level(logging.WARNING), pytest.raises(UnreachableError):
+        ZenohBus.connect(endpoint, lambda: next(answers))
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.startswith(f"no learner at {endpoint} after ")
+    assert said.endswith("still trying, start `a2s learner` there")
+
+
+def test_an_actor_may_be_started_before_its_learner(endpoint: str) -> None:
+    """It keeps trying for as long as it is told to."""
+    tried = threading.Event()
+
+    def proceed() -> bool:
+        tried.set()
+        return True
+
+    with ThreadPoolExecutor(1) as thread:
+        connecting = thread.submit(ZenohBus.connect, endpoint, proceed)
+        assert tried.wait(DEADLINE_S)
+        with closing(ZenohBus.listen(endpoint)) as learner:
+            learner.answer("a2s/r/hello", lambda question: question)
+            with closing(connecting.result(DEADLINE_S)) as actor:
+                assert ask_until_answered(actor, "a2s/r/hello", b"1") == b"1"
+
+
+def test_a_restarted_learner_is_found_again_by_the_same_client(endpoint: str) -> None:
+    """Questions, subscriptions and presence go on; between the two, questions are silence."""
+    notices: SimpleQueue[bytes] = SimpleQueue()
+    present: SimpleQueue[tuple[str, bool]] = SimpleQueue()
+    first = ZenohBus.listen(endpoint)
+    with closing(first):
+        first.answer("a2s/r/hello", lambda question: b"first")
+        actor = connect(endpoint)
+        with closing(actor):
+            actor.subscribe("a2s/r/notice", notices.put)
+            actor.declare_presence(LIVE)
+            assert ask_until_answered(actor, "a2s/r/hello", b"") == b"first"
+
+            first.close()
+            begin = time.monotonic()
+            assert actor.ask("a2s/r/hello", b"", timeout_s=30.0) is None
+            assert time.monotonic() - begin < 5.0
+
+            with closing(ZenohBus.listen(endpoint)) as second:
+                second.watch_presence("a2s/r/live/actor/*", lambda *seen: present.put(seen))
+                second.answer("a2s/r/hello", lambda question: b"second")
+                assert ask_until_answered(actor, "a2s/r/hello", b"") == b"second"
+                assert present.get(timeout=DEADLINE_S) == (LIVE, True)
+                second.publish("a2s/r/notice", b"version 2")
+                assert notices.get(timeout=DEADLINE_S) == b"version 2"
+
+
+def test_a_handler_that_takes_too_long_is_silence_after_the_timeout(endpoint: str) -> None:
+    """A learner that hangs does not hang its actors; its late answer is heard by nobody."""
+    release, asked = threading.Event(), threading.Event()
+
+    def answer(question: bytes) -> bytes:
+        asked.set()
+        release.wait(DEADLINE_S)
+        return question
+
+    with closing(ZenohBus.listen(endpoint)) as learner:
+        learner.answer("a2s/r/segment", answer)
+        with closing(connect(endpoint)) as actor:
+            try:
+                asked_at = time.monotonic()
+                assert actor.ask("a2s/r/segment", b"1", timeout_s=0.5) is None
+                assert 0.4 < time.monotonic() - asked_at < 10.0
+                assert asked.is_set()
+            finally:
+                release.set()
+            assert ask_until_answered(actor, "a2s/r/segment", b"2") == b"2"
+
+
+def test_a_killed_peer_is_seen_as_leaving(endpoint: str) -> None:
+    """However a connection ends; here with SIGKILL, which runs no code of ours."""
+    program = (
+        "import sys, threading\n"
+        "from a2s.protocol.zenoh_bus import ZenohBus\n"
+        "bus = ZenohBus.connect(sys.argv[1], lambda: False)\n"
+        "bus.declare_presence(sys.argv[2])\n"
+        "threading.Event().wait(60)\n"
+    )
+    present: SimpleQueue[tuple[str, bool]] = SimpleQueue()
+    with closing(ZenohBus.listen(endpoint)) as learner:
+        learner.watch_presence("a2s/r/live/actor/*", lambda *seen: present.put(seen))
+        with subprocess.Popen([sys.executable, "-c", program, endpoint, LIVE]) as process:
+            try:
+                assert present.get(timeout=DEADLINE_S) == (LIVE, True)
+            finally:
+                process.kill()
+            assert present.get(timeout=5.0) == (LIVE, False)  # before the lease of 10 s
+
+
+def test_a_unix_socket_will_do(tmp_path: Path) -> None:
+    """On one machine, and for a container's sidecar."""
+    endpoint = f"unixsock-stream/{tmp_path}/a2s.sock"
+    with closing(ZenohBus.listen(endpoint)) as learner:
+        learner.answer("a2s/r/hello", lambda question: question)
+        with closing(connect(endpoint)) as actor:
+            assert ask_until_answered(actor, "a2s/r/hello", b"1") == b"1"
