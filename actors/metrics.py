@@ -6,7 +6,9 @@ replaced. ``docs/metrics.md`` explains every name.
 """
 
 import bisect
+import os
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -47,6 +49,7 @@ COUNTERS = {
     "dropped_transitions": _Described("Transitions lost on purpose.", "reason"),
     "weights_received_bytes": _Described("Bytes of weights received."),
     "joins": _Described("Times that this actor joined a learner."),
+    "cpu_seconds": _Described("Processor time of the worker process."),
 }
 GAUGES = {
     "episode_return_last": _Described("Return of the latest episode."),
@@ -56,6 +59,7 @@ GAUGES = {
     "epoch": _Described("Recovery epoch acted in: the recoveries that have reached this actor."),
     "weights_version": _Described("Version of the weights in use."),
     "weights_received_timestamp_seconds": _Described("When the weights in use arrived."),
+    "resident_memory_bytes": _Described("Memory of the worker process."),
 }
 HISTOGRAMS = {
     "episode_length_steps": _Described("Lengths of episodes.", buckets=_STEPS),
@@ -72,11 +76,10 @@ class Tally:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._counters: dict[str, dict[str, float]] = {name: {} for name in COUNTERS}
-        self._gauges: dict[str, float] = {}
-        self._histograms = {
-            name: [0.0] * (len(described.buckets) + 2) for name, described in HISTOGRAMS.items()
-        }
+        nothing = _nothing()
+        self._counters: dict[str, dict[str, float]] = nothing["counters"]
+        self._gauges: dict[str, float] = nothing["gauges"]
+        self._histograms: dict[str, list[float]] = nothing["histograms"]
 
     def count(self, name: str, amount: float = 1, **label: str) -> None:
         """Add to a counter, under the value of its label if it has one."""
@@ -109,8 +112,10 @@ class Tally:
             return sum(self._counters[name].values())
 
     def snapshot(self) -> Snapshot:
-        """Copy everything, as plain JSON."""
+        """Copy everything, and what this process uses by now, as plain JSON."""
         with self._lock:
+            self._counters["cpu_seconds"] = {"": time.process_time()}
+            self._gauges["resident_memory_bytes"] = _resident_bytes()
             return {
                 "counters": {name: dict(values) for name, values in self._counters.items()},
                 "gauges": dict(self._gauges),
@@ -127,7 +132,7 @@ class Fleet(Collector):
 
     def __init__(self, num_workers: int) -> None:
         self._lock = threading.Lock()
-        self._past = [Tally().snapshot() for _ in range(num_workers)]
+        self._past = [_nothing() for _ in range(num_workers)]
         self._present: list[Snapshot | None] = [None] * num_workers
         self._restarts = [0] * num_workers
 
@@ -137,9 +142,10 @@ class Fleet(Collector):
             self._present[worker] = snapshot
 
     def ended(self, worker: int) -> None:
-        """A worker process ended: keep what it counted."""
+        """A worker process ended: keep what it counted, not the state that it was in."""
         with self._lock:
-            self._past[worker] = _merge(self._past[worker], self._present[worker])
+            merged = _merge(self._past[worker], self._present[worker])
+            self._past[worker] = {**merged, "gauges": {}}
             self._present[worker] = None
 
     def restarted(self, worker: int) -> None:
@@ -173,6 +179,21 @@ class Fleet(Collector):
         for worker, amount in enumerate(restarts):
             restarted.add_metric([str(worker)], amount)
         yield restarted
+
+
+def _nothing() -> Snapshot:
+    return {
+        "counters": {name: {} for name in COUNTERS},
+        "gauges": {},
+        "histograms": {
+            name: [0.0] * (len(described.buckets) + 2) for name, described in HISTOGRAMS.items()
+        },
+    }
+
+
+def _resident_bytes() -> float:
+    with open("/proc/self/statm", "rb") as statm:
+        return float(int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
 
 
 def _known(values: dict[str, float], described: _Described) -> dict[str, float]:

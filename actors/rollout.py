@@ -127,7 +127,8 @@ class Rollout:
             slot.quota_episodes += 1
             self._tally.episode(slot.episode_return, slot.episode_length, terminated=terminated)
             yield from self._cut(index, notice, terminated=terminated, truncated=truncated)
-            slot.begin_episode()
+            if slot.episode_length:
+                slot.begin_episode()
 
     @staticmethod
     def _quota_is_met(slot: _Slot, notice: Notice) -> bool:

@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 
 _BACK_OFF_S = (0.2, 5.0)
 _CRASH_LOOP_DEATHS = 5
-_CRASH_LOOP_LIFE_S = 10.0
+_CRASH_LOOP_LIFE_S = 30.0
 _STOP_S = 12.0
 _POLL_S = 0.1
 

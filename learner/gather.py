@@ -44,6 +44,7 @@ class Terms:
         clock: ``lockstep`` or ``async``.
         max_policy_lag: Versions that a segment may be behind.
         seed: Of the run.
+        num_actors: Actors that the first batch waits for.
     """
 
     run: str
@@ -54,6 +55,7 @@ class Terms:
     clock: Clock
     max_policy_lag: int
     seed: int
+    num_actors: int
 
 
 class Gather:
@@ -83,6 +85,7 @@ class Gather:
         self._batch_steps = 1
         self._pending: list[tuple[int, Segment]] = []
         self._pending_steps = 0
+        self._is_complete = False
 
     # What the bus calls.
 
@@ -99,6 +102,7 @@ class Gather:
                 member, seed = self._roster.join(hello.actor, hello.num_envs, time.monotonic())
                 slot = member.slot
                 if is_new:
+                    self._is_complete |= len(self._roster.members) >= terms.num_actors
                     self._metrics.joins.inc()
                     self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
                 self._changed.notify_all()
@@ -171,24 +175,6 @@ class Gather:
             self._batch_steps = batch_steps
             self._roster.begin()
 
-    def wait_for_members(self, num_actors: int, proceed: Callable[[str], bool]) -> bool:
-        """Wait until so many actors have joined.
-
-        Args:
-            num_actors: At least 1.
-            proceed: Told what is waited for, at least twice a second; when false, the wait ends.
-
-        Returns:
-            Whether they have.
-        """
-        with self._changed:
-            while len(self._roster.members) < num_actors:
-                present = len(self._roster.members)
-                if not proceed(f"{num_actors - present} more of {num_actors} actors to join"):
-                    return False
-                self._changed.wait(timeout=_WAIT_S)
-        return True
-
     def next_batch(self, proceed: Callable[[str], bool]) -> list[tuple[int, Segment]]:
         """Wait for a batch and take it.
 
@@ -220,9 +206,10 @@ class Gather:
 
     @property
     def num_envs(self) -> int:
-        """Environments of all actors present, at least 1."""
+        """Environments of all actors present, or of those that are expected first."""
         with self._changed:
-            return max(1, self._roster.num_envs)
+            expected = 0 if self._is_complete else self._terms.num_actors * self._terms.num_envs
+            return max(1, expected, self._roster.num_envs)
 
     def members(self) -> list[Member]:
         """The actors present, by slot."""
@@ -296,6 +283,9 @@ class Gather:
         notice = self._notice
         if notice is None:
             return "the first weights"
+        if not self._is_complete:
+            more = self._terms.num_actors - len(self._roster.members)
+            return f"{more} more of {self._terms.num_actors} actors: start `a2s actor`"
         if self._terms.clock == "async":
             if self._pending_steps >= self._batch_steps:
                 return ""

@@ -97,6 +97,7 @@ class Learner:
             clock=self._run.clock,
             max_policy_lag=self._hyper.max_policy_lag,
             seed=self._run.seed,
+            num_actors=self._run.n,
         )
         self._gather = Gather(terms, self._ledger, metrics, self._directory.event)
         self._publisher = Publisher(bus, keys)
@@ -118,20 +119,19 @@ class Learner:
             self._show()
             return not stopped()
 
-        if self._gather.wait_for_members(self._run.n, proceed):
+        self._publish()
+        self._checkpoint()
+        while self._env_steps < self._run.total_steps:
+            batch = self._next_batch(proceed)
+            if not batch:
+                break
+            stats = self._update([segment for _, segment in batch])
+            self._recover(stats)
             self._publish()
-            self._checkpoint()
-            while self._env_steps < self._run.total_steps:
-                batch = self._next_batch(proceed)
-                if not batch:
-                    break
-                stats = self._update([segment for _, segment in batch])
-                self._recover(stats)
-                self._publish()
-                self._write(stats)
-                if self._algorithm.updates % self._run.checkpoint_every_updates == 0:
-                    self._checkpoint()
-            self._checkpoint()
+            self._write(stats)
+            if self._algorithm.updates % self._run.checkpoint_every_updates == 0:
+                self._checkpoint()
+        self._checkpoint()
         self._bus.close()
         return self._finish()
 
@@ -197,7 +197,7 @@ class Learner:
         """Export the networks; while the run goes on, serve and announce them."""
         self._version += 1
         with self._metrics.update_seconds.labels(phase="publish").time():
-            metadata = {"env": self._run.env, "run": self._run.run, "algo": self._run.algo}
+            metadata = {"env": self._run.env, "algo": self._run.algo}
             suggester = self._algorithm.suggester(*self._bounds)
             self._graph = export(suggester, self._version, metadata)
             if self._env_steps < self._run.total_steps:
@@ -219,8 +219,7 @@ class Learner:
     def _quota(self) -> tuple[int, tuple[int, int]]:
         """Size of the next batch, and each environment's share of steps and whole episodes."""
         hyper, num_envs = self._hyper, self._gather.num_envs
-        growth = min(self._algorithm.updates * math.log(hyper.batch_growth), 700.0)
-        steps = min(hyper.batch_steps, int(hyper.batch_steps_first * math.exp(growth)))
+        steps = hyper.batch_steps_at(self._algorithm.updates)
         episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
         return steps, (max(1, math.ceil(steps / num_envs)), episodes)
 

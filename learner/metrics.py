@@ -1,6 +1,8 @@
 """What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
 
+import math
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 from prometheus_client import (
     CollectorRegistry,
@@ -18,6 +20,7 @@ from a2s import __version__
 from a2s.learner.algorithm.update_stats import UpdateStats
 from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
+from a2s.protocol.messages import Verdict
 
 _LAGS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 100)
 _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -39,6 +42,8 @@ class LearnerMetrics:
         self.received = self._counter(
             "transitions_received", "Transitions of segments, by the answer.", "result"
         )
+        for verdict in get_args(Verdict):
+            self.received.labels(result=verdict)  # 0 from the beginning: a share needs both sides
         self.refused = self._counter(
             "messages_refused", "Unusable messages, by kind and reason.", "message", "reason"
         )
@@ -54,35 +59,42 @@ class LearnerMetrics:
             "checkpoint_failures", "Checkpoints that could not be written."
         )
 
-        self.return_mean = self._gauge(
+        self.return_mean = self._unknown(
             "episode_return_mean", "Mean return of the last 100 episodes."
         )
-        self.return_min = self._gauge("episode_return_min", "Least of the last 100 episodes.")
-        self.return_max = self._gauge("episode_return_max", "Greatest of the last 100 episodes.")
-        self.length_mean = self._gauge(
+        self.return_min = self._unknown("episode_return_min", "Least of the last 100 episodes.")
+        self.return_max = self._unknown("episode_return_max", "Greatest of the last 100 episodes.")
+        self.length_mean = self._unknown(
             "episode_length_mean_steps", "Mean length of the last 100 episodes."
         )
         self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
         self.loss = self._gauge("loss", "Losses of the latest update.", "loss")
-        self.kl = self._gauge("kl", "KL divergence of the latest update, nats.")
-        self.entropy = self._gauge("entropy", "Entropy of the policy, nats.")
-        self.policy_std = self._gauge("policy_std", "Mean standard deviation of the policy.")
+        self.kl = self._unknown("kl", "KL divergence of the latest update, nats.")
+        self.entropy = self._unknown("entropy", "Entropy of the policy, nats.")
+        self.policy_std = self._unknown("policy_std", "Mean standard deviation of the policy.")
         self.learning_rate = self._gauge("learning_rate", "Learning rate.", "network")
         self.explained = self._gauge(
             "explained_variance", "Of returns, before they are fitted.", "network"
         )
-        self.recovery_return = self._gauge("recovery_return", "The statistic r of equation 5.")
-        self.recovery_best = self._gauge("recovery_best_return", "r* of equation 5.")
+        self.q_trusted = self._unknown(
+            "q_trusted", "1 when the next suggester lets Q choose, otherwise 0."
+        )
+        self.q_action_correlation = self._unknown(
+            "q_action_correlation",
+            "Of Q - V with target - V before they are fitted: does Q know the actions apart?",
+        )
+        self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
+        self.recovery_best = self._unknown("recovery_best_return", "r* of equation 5.")
         self.epoch = self._gauge("epoch", "Recovery epoch: recoveries so far.")
         self.generation = self._gauge("generation", "Starts of the learner within this run.")
         self.actors = self._gauge("actors", "Actors present.")
         self.queue = self._gauge("ingest_queue_transitions", "Transitions that wait for an update.")
         self.weights_version = self._gauge("weights_version", "Newest version.")
         self.weights_bytes = self._gauge("weights_bytes", "Size of the newest graph.")
-        self.checkpoint_time = self._gauge(
+        self.checkpoint_time = self._unknown(
             "checkpoint_timestamp_seconds", "When the latest checkpoint was written."
         )
-        self.checkpoint_bytes = self._gauge("checkpoint_bytes", "Size of the latest checkpoint.")
+        self.checkpoint_bytes = self._unknown("checkpoint_bytes", "Size of the latest checkpoint.")
 
         self.policy_lag = self._histogram(
             "policy_lag_updates", "Versions that accepted segments were behind.", _LAGS
@@ -104,6 +116,12 @@ class LearnerMetrics:
     def _gauge(self, name: str, text: str, *labels: str) -> Gauge:
         return Gauge(f"a2s_learner_{name}", text, labels, registry=self.registry)
 
+    def _unknown(self, name: str, text: str) -> Gauge:
+        """Make a gauge that is NaN, and not a plausible 0, until there is something to show."""
+        gauge = self._gauge(name, text)
+        gauge.set(math.nan)
+        return gauge
+
     def _histogram(self, name: str, text: str, buckets: tuple[float, ...]) -> Histogram:
         return Histogram(f"a2s_learner_{name}", text, buckets=buckets, registry=self.registry)
 
@@ -123,6 +141,8 @@ class LearnerMetrics:
         self.kl.set(stats.kl)
         self.entropy.set(stats.entropy)
         self.policy_std.set(stats.std)
+        self.q_trusted.set(stats.q_trusted)
+        self.q_action_correlation.set(stats.q_action_correlation)
         if stats.recovery is not None and stats.recovery.r is not None:
             self.recovery_return.set(stats.recovery.r)
             best = stats.recovery.r_best

@@ -242,12 +242,6 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
     return OnPolicyHyper(**values)  # type: ignore[arg-type]
 
 
-def sources(preset: str, algo: str, overrides: Mapping[str, object]) -> dict[str, str]:
-    """Where each value of `on_policy` with the same arguments comes from."""
-    found = {name: choice.source for name, choice in choices(preset, algo).items()}
-    return found | dict.fromkeys(overrides, "set by the user")
-
-
 def parse(name: str, given: object) -> object:
     """A value for a hyperparameter, from text or from a configuration file.
 

@@ -15,6 +15,8 @@ from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.export import CONTRACT, export
 from a2s.learner.presets import on_policy
 
+torch.set_num_threads(1)
+
 LOW, HIGH = torch.tensor([-0.4, -3.0, 0.5]), torch.tensor([0.4, 1.0, 2.5])
 
 

@@ -12,7 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from a2s.protocol.codec import MAX_BYTES, MIB, SCHEMA_VERSION, decode, encode
-from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.errors import (
+    MalformedMessageError,
+    OversizeMessageError,
+    SchemaMismatchError,
+)
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,
@@ -454,11 +458,13 @@ def test_a_payload_over_the_limit_of_its_kind_is_refused_unread(kind: type) -> N
     assert reason == (
         f"{kind.__name__}: found {MAX_BYTES[kind] + 1} bytes, expected at most {MAX_BYTES[kind]}"
     )
+    with pytest.raises(OversizeMessageError):
+        decode(bytes(MAX_BYTES[kind] + 1), kind)
 
 
 def test_a_message_over_the_limit_is_not_sent() -> None:
     """The sender is told, rather than the receiver's answer waited for."""
-    with pytest.raises(MalformedMessageError, match="expected at most 1048576"):
+    with pytest.raises(OversizeMessageError, match="expected at most 1048576"):
         encode(Refusal(reason="x" * MIB))
 
 
@@ -467,6 +473,8 @@ def test_another_schema_version_is_refused(version: Any) -> None:
     """Nothing else of such a message is read."""
     reason = refusal_of(altered(Ack, a2s=version, kind="Future", colour="red"))
     assert reason == f"peer speaks schema {version!r}, this is 1"
+    with pytest.raises(SchemaMismatchError):
+        decode(altered(Ack, a2s=version), Ack)
 
 
 def test_a_message_without_a_schema_version_is_refused() -> None:
@@ -650,6 +658,7 @@ def test_the_reason_stays_short_whatever_was_found(field: str) -> None:
     "payload",
     [
         pytest.param(b"\x81\x01\x02", id="integer key"),
+        pytest.param(b"\x81\x90\x02", id="key is an array"),
         pytest.param(b"\x81\xa1\xff\x02", id="key is not UTF-8"),
         pytest.param(b"\x82\xa3a2s\x01\xc4\x04kind\xa3Ack", id="key is bytes"),
         pytest.param(b"\xc1", id="the code that is never used"),

@@ -242,7 +242,7 @@ def test_the_mean_action_moves_to_where_the_reward_is(options: dict[str, Any]) -
     )
     for number in range(60):
         algorithm.update(play(algorithm, number))
-    obs = torch.randn(200, D)
+    obs = torch.randn(200, D, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         mean = algorithm.learned.policy(algorithm.learned.normaliser(obs))
     assert float((mean - 0.5).abs().mean()) < 0.25

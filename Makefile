@@ -1,0 +1,54 @@
+# Everything a laptop and CI run. `make help` lists the targets.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
+INSTALLED := $(VENV)/.installed
+ARGS ?=
+# Later options win, so ARGS overrides these.
+TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
+
+.DEFAULT_GOAL := help
+.PHONY: help setup train test check format build clean
+
+help: ## Show this
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+
+setup: $(INSTALLED) ## Make .venv and install everything with the pinned versions
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@echo "== installing a2s with everything into $(VENV) (torch is large: a minute or two)"
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
+	  { echo "a2s needs Python 3.11 to 3.13; found $(PYTHON). Use: make setup PYTHON=python3.11"; exit 2; }
+	@$(PYTHON) -m venv $(VENV) || \
+	  { echo "could not make a virtual environment; on Debian: apt-get install python3-venv"; exit 2; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $(INSTALLED)
+
+train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env HalfCheetah-v5"
+	@echo "== a2s train $(TRAIN_DEFAULTS) $(ARGS)"
+	@$(BIN)/a2s train $(TRAIN_DEFAULTS) $(ARGS)
+
+test: setup ## Run all tests
+	@echo "== pytest"
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: setup ## Style, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: setup ## Format the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+build: setup ## Build wheel and sdist, and try the wheel in an environment of its own
+	$(BIN)/python -m build --outdir dist .
+	$(PYTHON) -m venv --clear build/try
+	build/try/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt dist/*.whl
+	cd build && try/bin/a2s actor --help > /dev/null && ! try/bin/python -c 'import torch' 2> /dev/null
+	@echo "the wheel works, and is an actor without torch"
+
+clean: ## Remove what was made, but not the runs
+	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,79 @@
+"""What tests share: the plug-in environments, graphs, and waiting without sleeping."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from a2s.learner import presets
+from a2s.learner.algorithm.on_policy import OnPolicy
+from a2s.learner.export import export
+from a2s.protocol.messages import Notice
+
+PLUGIN = Path(__file__).parent / "plugin"
+sys.path.insert(0, str(PLUGIN))
+# Processes that tests start find the plug-in environments too.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(PLUGIN), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
+
+MakeGraph = Callable[..., bytes]
+WaitFor = Callable[..., None]
+
+
+@pytest.fixture
+def make_graph() -> MakeGraph:
+    """Export untrained networks for an environment with these sizes and bounds."""
+
+    def make(
+        obs_size: int = 2,
+        low: tuple[float, ...] = (-1.0, 0.5),
+        high: tuple[float, ...] = (3.0, 0.75),
+        **overrides: object,
+    ) -> bytes:
+        hyper = presets.on_policy("modern", "a2s", {"warm_up": "none", **overrides})
+        algorithm = OnPolicy(obs_size, len(low), hyper, seed=0)
+        suggester = algorithm.suggester(torch.tensor(low), torch.tensor(high))
+        return export(suggester, 3, {"env": "a2s_test_envs:Count-v0"})
+
+    return make
+
+
+@pytest.fixture
+def make_notice() -> Callable[..., Notice]:
+    """Make a notice with some fields of interest."""
+
+    def make(**fields: int) -> Notice:
+        values = {
+            "generation": 1, "epoch": 0, "version": 3, "quota_steps": 7, "quota_episodes": 0,
+            "num_bytes": 1,
+        }  # fmt: skip
+        return Notice(sha256="", **{**values, **fields})
+
+    return make
+
+
+@pytest.fixture
+def wait_for() -> WaitFor:
+    """Wait until something is true, and fail with its name when it never is."""
+
+    def wait(condition: Callable[[], object], what: str, timeout_s: float = 20.0) -> None:
+        deadline_s = time.monotonic() + timeout_s
+        pause = threading.Event()
+        while not condition():
+            assert time.monotonic() < deadline_s, f"waited {timeout_s:.0f} s for {what}"
+            pause.wait(0.02)
+
+    return wait
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator with a fixed seed."""
+    return np.random.default_rng(0)

@@ -1,0 +1,80 @@
+"""What the tests of real processes share."""
+
+import signal
+import subprocess
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+from prometheus_client.parser import text_string_to_metric_families
+
+FAST = (
+    "--set", "batch_steps=256", "--set", "batch_steps_first=256", "--envs", "2",
+)  # fmt: skip
+REACH = ("--env", "a2s_test_envs:Reach-v0")
+
+
+@dataclass
+class Command:
+    """One ``a2s`` command that was started.
+
+    Attributes:
+        process: Its process.
+        log: Where all that it prints goes.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    log: Path
+
+    def text(self) -> str:
+        """What it has printed so far."""
+        return self.log.read_text()
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and wait for the end."""
+        self.process.send_signal(number)
+        return self.process.wait(timeout=30)
+
+    def workers(self) -> list[psutil.Process]:
+        """The living worker processes below it."""
+        found = psutil.Process(self.process.pid).children(recursive=True)
+        alive = [p for p in found if is_alive(p.pid)]
+        return [p for p in alive if "a2s.actors.worker" in " ".join(p.cmdline())]
+
+
+Start = Callable[..., Command]
+
+
+def scrape(port: int) -> dict[str, float]:
+    """Read /metrics: ``name{label="value"}`` to value, labels in alphabetical order."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as reply:
+        text = reply.read().decode()
+    found = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            labels = ",".join(f'{k}="{v}"' for k, v in sorted(sample.labels.items()))
+            found[f"{sample.name}{{{labels}}}" if labels else sample.name] = sample.value
+    return found
+
+
+def metrics_port(command: Command) -> int:
+    """The port that a command says it serves metrics on."""
+    line = next(x for x in command.text().splitlines() if "/metrics" in x)
+    return int(line.rsplit(":", 1)[1].split("/")[0])
+
+
+def rows(path: Path, *, without: str) -> list[str]:
+    """Lines of a CSV file without one column."""
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    skip = lines[0].index(without)
+    return [",".join(c for i, c in enumerate(line) if i != skip) for line in lines]
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process exists and is not a zombie."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

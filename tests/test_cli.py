@@ -1,0 +1,146 @@
+"""Bad usage: one line that says what and what to do, exit code 2, and no traceback."""
+
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from a2s import cli
+
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """Run the command line, expect exit code 2, and give what it says on standard error."""
+    argv, sys.argv = sys.argv, ["a2s", *arguments]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    finally:
+        sys.argv = argv
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["learner", "--env", "NoSuchThing-v5"], "NoSuchThing"),
+        (["train", "--env", "CartPole-v1"], "found actions Discrete(2)"),
+        (["learner", "--preset", "modem"], "did you mean 'modern'?"),
+        (["learner", "--algo", "a3c"], "did you mean 'a2c'?"),
+        (["learner", "--set", "gama=0.9"], "did you mean 'gamma'?"),
+        (["learner", "--set", "gamma=1.5"], "gamma: found 1.5"),
+        (["learner", "--set", "recovery_bias=nan"], "recovery_bias: found nan"),
+        (["learner", "--set", "gamma"], "found 'gamma', expected KEY=VALUE"),
+        (["learner", "--suggestions", "0"], "suggestions: found 0"),
+        (["learner", "--run", "a/b"], "run name: found 'a/b'"),
+        (["learner", "--listen", "7447"], "expected PROTOCOL/HOST:PORT"),
+        (["learner", "--config", "missing.toml"], "missing.toml: No such file"),
+        (["learner", "--resume"], "found no run 'default'"),
+        (["learner", "--resume", "--run-dir", "nowhere"], "nowhere holds no config.toml"),
+        (["actor", "--connect", "learner:7447"], "expected PROTOCOL/HOST:PORT"),
+        (["actor", "--run", "*"], "run name: found '*'"),
+        (["evaluate", "nowhere"], "No such file"),
+        (["evaluate", ".", "--mode", "men"], "did you mean 'mean'?"),
+        (["evaluate", ".", "--weights", "newest"], "--weights: found 'newest'"),
+        (["plot", "nowhere"], "nowhere: is not a run directory"),
+    ],
+)
+def test_a_mistake_gets_one_line(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = _usage(*arguments, capsys=capsys)
+    assert said in error
+    assert error.startswith("a2s: ")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["learner", "--seed", "x"], ["actor", "--n", "0"], ["learn"], ["learner", "--metrics-port", "-2"]],
+)
+def test_what_the_parser_refuses_is_exit_code_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "Traceback" not in _usage(*arguments, capsys=capsys)
+
+
+def _print_config(*arguments: str) -> str:
+    result: Result = CliRunner().invoke(cli.app, ["learner", "--print-config", *arguments])
+    assert result.exit_code == 0, result.output
+    return str(result.output)
+
+
+def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "mine.toml"
+    assert "\nseed = 0\n" in _print_config()
+    file.write_text("[run]\nseed = 7\n[hyper]\ngamma = 0.5\n")
+    said = _print_config("--config", str(file))
+    assert "\nseed = 7\n" in said
+    assert "\ngamma = 0.5  # set by you" in said
+    monkeypatch.setenv("A2S_SEED", "8")
+    assert "\nseed = 8\n" in _print_config("--config", str(file))
+    assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
+
+
+def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:
+    file = tmp_path / "printed.toml"
+    file.write_text(_print_config("--preset", "authors", "--set", "suggestions=3"))
+    again = _print_config("--config", str(file))
+    assert "preset = \"authors\"" in again
+    assert "\nsuggestions = 3  # set by you" in again
+    assert again == file.read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[run]\nsed = 1\n", "did you mean 'seed'?"),
+        ("[runs]\n", "did you mean 'run'?"),
+        ("[hyper]\nlearn_rate = 1\n", "did you mean 'learning_rate'?"),
+        ("[run]\nseed = 'x'\n", "seed: found 'x', expected int"),
+        ("[run\n", "not TOML"),
+        ("[run]\nclock = 'sync'\n", "clock: found 'sync'"),
+    ],
+)
+def test_a_file_with_a_mistake_gets_one_line(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.toml").write_text(text)
+    assert said in _usage("learner", "--config", "bad.toml", capsys=capsys)
+
+
+def test_every_command_that_needs_no_torch_does_without_it() -> None:
+    """`a2s actor` and `a2s evaluate` must work where only the actor is installed."""
+    code = (
+        "import sys\n"
+        "sys.modules['torch'] = sys.modules['onnx'] = sys.modules['matplotlib'] = None\n"
+        "import a2s.cli, a2s.commands.actor, a2s.commands.evaluate, a2s.actors.worker\n"
+        "print(sorted(m for m in ('torch', 'onnx') if sys.modules[m]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "[]"), done.stderr
+
+
+def test_help_comes_without_heavy_imports() -> None:
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "a2s.cli", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    imported = {line.split("|")[-1].strip() for line in done.stderr.splitlines()}
+    assert not imported & {"torch", "onnxruntime", "mujoco", "gymnasium", "matplotlib"}
+
+
