@@ -61,7 +61,10 @@ class Actor:
         self._stopped = stopped
         self._report = report
         self._newest = Newest(bus, self._keys)
-        self._spool = Spool(bus, self._keys.segment, spool_steps, self._newest.hear, tally)
+        self._joining: Hello | None = None
+        self._spool = Spool(
+            bus, self._keys.segment, spool_steps, self._newest.hear, self._join_again, tally
+        )
         self._welcome: Welcome | None = None
         self._notice: Notice | None = None
         self._rollout: Rollout | None = None
@@ -121,9 +124,8 @@ class Actor:
             self._waiting_since_s = None
 
     def _join(self, env_id: str, num_envs: int, spaces: Spaces) -> Welcome | None:
-        welcome = self._hello(
-            Hello(actor=self._name, num_envs=num_envs, env_id=env_id, spaces=spaces)
-        )
+        self._joining = Hello(actor=self._name, num_envs=num_envs, env_id=env_id, spaces=spaces)
+        welcome = self._hello(self._joining)
         if welcome is not None:
             self._welcome = welcome
             self._tally.count("joins")
@@ -132,6 +134,11 @@ class Actor:
                 welcome.run, welcome.generation, welcome.slot, env_id, num_envs,
             )  # fmt: skip
         return welcome
+
+    def _join_again(self) -> None:
+        """The connection was broken for so long that the learner took this actor off its roster."""
+        if self._joining is not None:
+            self._hello(self._joining)
 
     def _hello(self, hello: Hello) -> Welcome | None:
         payload = encode(hello)

@@ -34,16 +34,24 @@ class Spool:
         key: Where segments go.
         capacity_steps: Steps that may wait; at least one segment always fits.
         on_ack: Told every answer, on the sender's thread.
+        on_unknown: Told that the learner does not know this actor, on the sender's thread.
         tally: Where answers, retries and bytes are counted.
     """
 
     def __init__(
-        self, bus: Bus, key: str, capacity_steps: int, on_ack: Callable[[Ack], None], tally: Tally
+        self,
+        bus: Bus,
+        key: str,
+        capacity_steps: int,
+        on_ack: Callable[[Ack], None],
+        on_unknown: Callable[[], None],
+        tally: Tally,
     ) -> None:
         self._bus = bus
         self._key = key
         self._capacity_steps = capacity_steps
         self._on_ack = on_ack
+        self._on_unknown = on_unknown
         self._tally = tally
         self._waiting: deque[_Waiting] = deque()
         self._steps = 0
@@ -127,7 +135,9 @@ class Spool:
             self._tally.count("sent_bytes", len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
             ack = self._read(reply)
-            if ack is not None:
+            if ack is not None and ack.verdict == "unknown":
+                self._on_unknown()
+            elif ack is not None:
                 self._tally.observe("send_seconds", time.perf_counter() - begin)
                 self._tally.count("acks", result=ack.verdict)
                 return ack

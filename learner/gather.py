@@ -28,6 +28,7 @@ from a2s.protocol.messages import (
 _WAIT_S = 0.5
 _SILENT_S = 30.0
 _BATCHES_AHEAD = 4
+_PATIENCE = 10
 _HOLD_BACK_S = 0.1
 
 
@@ -86,6 +87,7 @@ class Gather:
         self._pending: list[tuple[int, Segment]] = []
         self._pending_steps = 0
         self._is_complete = False
+        self._published_s = 0.0
 
     # What the bus calls.
 
@@ -125,6 +127,11 @@ class Gather:
             member = self._roster.find(segment.actor)
             if member is not None:
                 member.heard_s = time.monotonic()
+            elif segment.generation == self._terms.generation:
+                self._metrics.refused.labels(message="segment", reason="unknown_actor").inc()
+                return self._ack("unknown", f"actor {segment.actor} has not joined", segment)
+            if self._ledger.leaps(segment.actor, segment.seq):
+                return self.refuse_segment("future", f"seq {segment.seq} is not the next")
             verdict, cause, reason = self._judge(segment, member)
             self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
             if verdict == "refused":
@@ -171,7 +178,7 @@ class Gather:
         with self._changed:
             if self._notice is None or notice.epoch != self._notice.epoch:
                 self._pending, self._pending_steps = [], 0
-            self._notice = notice
+            self._notice, self._published_s = notice, time.monotonic()
             self._batch_steps = batch_steps
             self._roster.begin()
 
@@ -222,10 +229,8 @@ class Gather:
 
     def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
         generation = self._terms.generation
-        if segment.generation != generation:
+        if segment.generation != generation or member is None:
             return "stale", "", f"generation {segment.generation}, this is {generation}"
-        if member is None:
-            return "refused", "unknown_actor", f"actor {segment.actor} has not joined"
         misfit = self._misfit(segment, member)
         if misfit:
             return "refused", "spaces", misfit
@@ -260,6 +265,8 @@ class Gather:
         self._pending_steps += segment.num_steps
         if segment.weights_version == self._notice.version:
             member.deliver(segment)
+            if all(p.meets(self._notice) for p in member.progress):
+                member.done_s = time.monotonic()
         self._metrics.policy_lag.observe(self._notice.version - segment.weights_version)
         self._metrics.env_steps.inc(segment.num_steps)
         if not self._missing():
@@ -295,9 +302,14 @@ class Gather:
         if not members:
             return "actors: none is present, start `a2s actor`"
         late = [m.slot for m in members if not all(p.meets(notice) for p in m.progress)]
-        if late:
+        done_s = [m.done_s - self._published_s for m in members if m.slot not in late]
+        if late and not (done_s and self._is_overdue(now_s, max(done_s))):
             return f"segments of version {notice.version} from actors {late}"
         return "" if self._pending else "segments"
+
+    def _is_overdue(self, now_s: float, others_s: float) -> bool:
+        """Whether those who are late have had ten times the time that all others needed."""
+        return now_s - self._published_s > max(_SILENT_S, _PATIENCE * others_s)
 
     def _leave(self, actor: str, reason: str) -> None:
         member = self._roster.leave(actor)

@@ -12,6 +12,7 @@ from pathlib import Path
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Verdict
 
+_LONGEST_LEAP = 10_000
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
 
@@ -20,12 +21,12 @@ class Accounts:
     """The segments of a run: ``sent = accepted + stale + refused + lost``.
 
     Attributes:
-        sent: Segments that actors have numbered, as far as the learner has seen the numbers.
+        sent: Segments that actors have numbered, from the first to the last number seen of each.
         accepted: Taken to be learned from.
         duplicate: Answers to segments that had been answered before; part of no sum.
         stale: Too old to learn from.
         refused: Unusable.
-        lost: Numbered but never received: their actor died with them.
+        lost: Numbered between others but never received.
     """
 
     sent: int
@@ -38,19 +39,23 @@ class Accounts:
 
 @dataclass(slots=True)
 class _Sender:
-    """The numbers seen from one actor: all below ``next_seq`` but for ``missing``."""
+    """The numbers seen from one actor: ``first`` up to below ``next_seq``, but for ``missing``."""
 
-    next_seq: int = 0
+    first: int
+    next_seq: int
     missing: set[int] = field(default_factory=set)
 
     def has(self, seq: int) -> bool:
-        return seq < self.next_seq and seq not in self.missing
+        return self.first <= seq < self.next_seq and seq not in self.missing
+
+    def leaps(self, seq: int) -> bool:
+        return not self.first - _LONGEST_LEAP <= seq < self.next_seq + _LONGEST_LEAP
 
     def add(self, seq: int) -> None:
         self.missing.discard(seq)
-        if seq >= self.next_seq:
-            self.missing.update(range(self.next_seq, seq))
-            self.next_seq = seq + 1
+        self.missing.update(range(self.next_seq, seq), range(seq + 1, self.first))
+        self.first = min(self.first, seq)
+        self.next_seq = max(self.next_seq, seq + 1)
 
 
 class Ledger:
@@ -84,6 +89,11 @@ class Ledger:
         self._duplicates += 1
         return True
 
+    def leaps(self, actor: str, seq: int) -> bool:
+        """Whether a number is so far from those seen that it cannot be the actor's next."""
+        sender = self._senders.get(actor)
+        return sender is not None and sender.leaps(seq)
+
     def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         """Write an answer down; it survives the death of this process when this returns."""
         os.write(self._file, f"{actor} {seq} {verdict} {steps}\n".encode())
@@ -92,7 +102,7 @@ class Ledger:
     def accounts(self) -> Accounts:
         """Add everything up."""
         return Accounts(
-            sent=sum(sender.next_seq for sender in self._senders.values()),
+            sent=sum(s.next_seq - s.first for s in self._senders.values()),
             lost=sum(len(sender.missing) for sender in self._senders.values()),
             duplicate=self._duplicates,
             **self._verdicts,
@@ -103,7 +113,7 @@ class Ledger:
         os.close(self._file)
 
     def _count(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
-        self._senders.setdefault(actor, _Sender()).add(seq)
+        self._senders.setdefault(actor, _Sender(seq, seq)).add(seq)
         self._verdicts[verdict] += 1
         if verdict == "accepted":
             self.accepted_steps += steps

@@ -6,6 +6,8 @@ import numpy as np
 
 from a2s.protocol.messages import ActorStatus, Notice, Segment
 
+_AWAY = 256
+
 
 @dataclass(slots=True)
 class Progress:
@@ -32,6 +34,7 @@ class Member:
         num_envs: Environments that it steps.
         heard_s: When it was last heard, on the learner's monotonic clock.
         progress: Of each of its environments.
+        done_s: When its quota was complete, on the same clock.
         status: Its latest own account.
     """
 
@@ -40,6 +43,7 @@ class Member:
     num_envs: int
     heard_s: float
     progress: list[Progress] = field(default_factory=list)
+    done_s: float = 0.0
     status: ActorStatus | None = None
 
     def __post_init__(self) -> None:
@@ -70,6 +74,7 @@ class Roster:
         self._seed = seed
         self._generation = generation
         self._members: dict[str, Member] = {}
+        self._away: dict[str, Member] = {}
         self._joins: dict[int, int] = {}
 
     @property
@@ -89,6 +94,9 @@ class Roster:
     def join(self, actor: str, num_envs: int, now_s: float) -> tuple[Member, int]:
         """Give an actor the lowest free place; one that has a place keeps it.
 
+        One that comes back, because its connection was broken for a while, goes on with what it
+        has delivered.
+
         Returns:
             The member, and the seed of its environments and noise: the same for the same seed of
             the run, generation, place, and number of those who had the place before.
@@ -97,17 +105,25 @@ class Roster:
         if member is None:
             taken = {m.slot for m in self._members.values()}
             slot = next(i for i in range(len(taken) + 1) if i not in taken)
-            member = Member(actor=actor, slot=slot, num_envs=num_envs, heard_s=now_s)
+            member = self._away.pop(actor, None)
+            if member is None or member.num_envs != num_envs:
+                member = Member(actor=actor, slot=slot, num_envs=num_envs, heard_s=now_s)
+            member.slot, member.heard_s = slot, now_s
             self._members[actor] = member
             self._joins[slot] = self._joins.get(slot, 0) + 1
         key = (self._seed, self._generation, member.slot, self._joins[member.slot])
         return member, int(np.random.SeedSequence(key).generate_state(1)[0])
 
     def leave(self, actor: str) -> Member | None:
-        """Take a member off the roster."""
-        return self._members.pop(actor, None)
+        """Take a member off the roster, but remember it for a while in case it comes back."""
+        member = self._members.pop(actor, None)
+        if member is not None:
+            self._away[actor] = member
+            if len(self._away) > _AWAY:
+                del self._away[next(iter(self._away))]
+        return member
 
     def begin(self) -> None:
         """New weights are out: nobody has delivered anything yet."""
-        for member in self._members.values():
+        for member in (*self._members.values(), *self._away.values()):
             member.begin()

@@ -77,9 +77,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
     version = body.pop("a2s", None)
     if type(version) is not int or version != SCHEMA_VERSION:
-        raise SchemaMismatchError(
-            f"peer speaks schema {_brief(version)}, this is {SCHEMA_VERSION}"
-        )
+        raise SchemaMismatchError(f"peer speaks schema {_brief(version)}, this is {SCHEMA_VERSION}")
     name = body.pop("kind", None)
     kind = _KINDS.get(name) if isinstance(name, str) else None
     if kind not in kinds:

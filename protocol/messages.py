@@ -20,7 +20,7 @@ from a2s.protocol.errors import MalformedMessageError
 
 Array = npt.NDArray[np.float32]
 Clock = Literal["lockstep", "async"]
-Verdict = Literal["accepted", "duplicate", "stale", "refused"]
+Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
 
@@ -234,11 +234,12 @@ class Segment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ack:
-    """The learner's answer to a segment; the actor forgets the segment when it has one.
+    """The learner's answer to a segment; unless it is ``unknown``, the actor forgets the segment.
 
     Attributes:
         verdict: ``accepted`` (will be learned from), ``duplicate`` (was answered before),
-            ``stale`` (too old to learn from), ``refused`` (unusable).
+            ``stale`` (too old to learn from), ``refused`` (unusable), ``unknown`` (the sender is
+            not on the roster: it says hello again, then sends the segment again).
         reason: Why, when it is not accepted; one line.
         generation: Generation of the answering learner; another one than the segment's means:
             say hello again.

@@ -216,4 +216,4 @@ def check_endpoint(endpoint: str) -> None:
 def _reason(error: Exception) -> str:
     """Take what the operating system said out of zenoh's error, for example "Address in use"."""
     found = re.search(r"\[[^\[]*?: ([^\[\]:]+) \(os error", str(error))
-    return found[1] if found else str(error).split("\n")[0]
+    return found[1] if found else str(error).split("\n")[0].split(" at /")[0]

@@ -1,16 +1,13 @@
 """Bad usage: one line that says what and what to do, exit code 2, and no traceback."""
 
-
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 from typer.testing import CliRunner
 
 from a2s import cli
-
 
 
 @pytest.fixture(autouse=True)
@@ -66,7 +63,12 @@ def test_a_mistake_gets_one_line(
 
 @pytest.mark.parametrize(
     "arguments",
-    [["learner", "--seed", "x"], ["actor", "--n", "0"], ["learn"], ["learner", "--metrics-port", "-2"]],
+    [
+        ["learner", "--seed", "x"],
+        ["actor", "--n", "0"],
+        ["learn"],
+        ["learner", "--metrics-port", "-2"],
+    ],
 )
 def test_what_the_parser_refuses_is_exit_code_2(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
@@ -75,7 +77,7 @@ def test_what_the_parser_refuses_is_exit_code_2(
 
 
 def _print_config(*arguments: str) -> str:
-    result: Result = CliRunner().invoke(cli.app, ["learner", "--print-config", *arguments])
+    result = CliRunner().invoke(cli.app, ["learner", "--print-config", *arguments])
     assert result.exit_code == 0, result.output
     return str(result.output)
 
@@ -98,7 +100,7 @@ def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:
     file = tmp_path / "printed.toml"
     file.write_text(_print_config("--preset", "authors", "--set", "suggestions=3"))
     again = _print_config("--config", str(file))
-    assert "preset = \"authors\"" in again
+    assert 'preset = "authors"' in again
     assert "\nsuggestions = 3  # set by you" in again
     assert again == file.read_text()
 
@@ -142,5 +144,3 @@ def test_help_comes_without_heavy_imports() -> None:
     )
     imported = {line.split("|")[-1].strip() for line in done.stderr.splitlines()}
     assert not imported & {"torch", "onnxruntime", "mujoco", "gymnasium", "matplotlib"}
-
-

@@ -62,9 +62,7 @@ def test_a_time_limit_is_truncated(make_graph: MakeGraph, make_notice: MakeNotic
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    quota_steps=st.integers(1, 13), quota_episodes=st.integers(0, 3), num_envs=st.integers(1, 4)
-)
+@given(quota_steps=st.integers(1, 13), quota_episodes=st.integers(0, 3), num_envs=st.integers(1, 4))
 def test_every_environment_plays_its_quota(
     quota_steps: int, quota_episodes: int, num_envs: int
 ) -> None:
@@ -119,7 +117,7 @@ def test_an_episode_with_a_reward_that_is_no_number_is_dropped_and_counted(
     """And an environment that makes nothing else is given up, with the reason."""
     tally = Tally()
     rollout = _rollout("NanReward", 1, tally)
-    with pytest.raises(A2SError, match="10 unusable segments in a row.*found nan"):
+    with pytest.raises(A2SError, match=r"10 unusable segments in a row.*found nan"):
         list(rollout.play(Suggester(make_graph()), make_notice(quota_steps=7), _never))
     assert tally.snapshot()["counters"]["dropped_transitions"] == {"malformed": 50.0}
     assert rollout.segments_made == 0

@@ -37,7 +37,7 @@ def _spool(
     exchange: Exchange, capacity_steps: int, tally: Tally
 ) -> Iterator[tuple[Spool, list[Ack]]]:
     acks: list[Ack] = []
-    spool = Spool(InProcessBus(exchange), "k", capacity_steps, acks.append, tally)
+    spool = Spool(InProcessBus(exchange), "k", capacity_steps, acks.append, lambda: None, tally)
     try:
         yield spool, acks
     finally:
@@ -103,7 +103,7 @@ def test_closing_sends_what_waits_within_its_time() -> None:
         return _ack()
 
     InProcessBus(exchange).answer("k", slow)
-    spool = Spool(InProcessBus(exchange), "k", 1000, lambda _: None, Tally())
+    spool = Spool(InProcessBus(exchange), "k", 1000, lambda _: None, lambda: None, Tally())
     for seq in range(5):
         spool.put(_segment(seq), 1.0)
     gate.set()
@@ -113,7 +113,7 @@ def test_closing_sends_what_waits_within_its_time() -> None:
 
 def test_closing_counts_what_was_never_answered() -> None:
     tally = Tally()
-    spool = Spool(InProcessBus(Exchange()), "k", 1000, lambda _: None, tally)
+    spool = Spool(InProcessBus(Exchange()), "k", 1000, lambda _: None, lambda: None, tally)
     for seq in range(3):
         spool.put(_segment(seq), 1.0)
     assert spool.close(0.05) == 3

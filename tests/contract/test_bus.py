@@ -85,12 +85,6 @@ def actor(network: Network, learner: Bus) -> Bus:
     return network.actor()
 
 
-def in_process_falls_short(request: pytest.FixtureRequest, how: str) -> None:
-    """Expect the in-process bus to fail; strictly, so that this goes when it is mended."""
-    if request.node.callspec.params["network"] == "in_process":
-        request.applymarker(pytest.mark.xfail(reason=how, strict=True))
-
-
 _NUMBER = itertools.count()
 
 
@@ -209,11 +203,8 @@ def test_each_of_many_threads_gets_its_own_answer(learner: Bus, actor: Bus) -> N
     assert answers == [[b"%d/%d" % (t, i) for i in range(50)] for t in range(8)]
 
 
-def test_a_handler_gets_one_message_at_a_time(
-    request: pytest.FixtureRequest, network: Network, learner: Bus, actor: Bus
-) -> None:
+def test_a_handler_gets_one_message_at_a_time(network: Network, learner: Bus, actor: Bus) -> None:
     """So that it needs no lock of its own; two actors ask at once."""
-    in_process_falls_short(request, "handlers run on the threads that ask, side by side")
     meeting = threading.Barrier(2)
     met = Heard()
 
@@ -278,11 +269,8 @@ def test_a_star_stands_for_one_part_of_a_key(learner: Bus, network: Network) -> 
     assert one.until(b"from 1") == [b"from 1"]
 
 
-def test_a_star_does_not_stand_for_two_parts(
-    request: pytest.FixtureRequest, learner: Bus, actor: Bus
-) -> None:
+def test_a_star_does_not_stand_for_two_parts(learner: Bus, actor: Bus) -> None:
     """``live/*`` is the learner's token, not those of the actors below it."""
-    in_process_falls_short(request, "fnmatch lets * match a slash")
     heard, seen = Heard(), Heard()
     learner.subscribe("a2s/r/*", heard)
     learner.watch_presence("a2s/r/*", seen)
@@ -307,13 +295,11 @@ def test_a_publication_that_nobody_hears_is_no_error(learner: Bus, actor: Bus) -
 
 
 def test_a_listener_that_raises_hears_the_next_and_harms_nobody(
-    request: pytest.FixtureRequest,
     learner: Bus,
     actor: Bus,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """A malformed publication must not end what its publisher is doing."""
-    in_process_falls_short(request, "the exception reaches the publisher")
     before, after = Heard(), Heard()
 
     def fail(payload: bytes) -> None:

@@ -190,7 +190,7 @@ def test_labels_are_explained(documented: dict[str, Any]) -> None:
         if labels:
             metric.labels(**dict.fromkeys(labels, "x"))  # raises where they are others
         else:
-            assert list(metric.collect())[0].samples, f"{name} has labels"
+            assert next(iter(metric.collect())).samples, f"{name} has labels"
     for name, counter in COUNTERS.items():
         expected = {"worker", counter.label} - {None}
         assert documented[f"a2s_actor_{name}_total"].labels == expected, name

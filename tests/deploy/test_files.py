@@ -1,7 +1,6 @@
 """Container files: what they name exists, and they agree with the program and with each other."""
 
 import re
-import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -202,14 +201,3 @@ def test_grafana_finds_data_source_and_dashboard(root: Path, services: Any) -> N
     home = grafana["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"]
     assert home == f"{folder}/a2s-run.json"
     assert (root / "deploy/grafana/dashboards/a2s-run.json").exists()
-
-
-def test_the_scripts_of_the_repository_are_not_in_the_images(root: Path) -> None:
-    """Tests, runs and the history of git stay at home, whatever lies around."""
-    ignored = (root / ".dockerignore").read_text().splitlines()
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=root, capture_output=True, text=True, check=True, timeout=30
-    )
-    top = {path.split("/")[0] for path in listed.stdout.splitlines()}
-    assert {"tests", "docs", "deploy"} & top
-    assert not {f"!{name}" for name in (".git", "tests", "docs", "runs")} & set(ignored)

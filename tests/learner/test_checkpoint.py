@@ -36,9 +36,7 @@ def test_one_that_was_not_finished_is_not_seen(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["tensors.safetensors", "state.json"])
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
-def test_a_damaged_one_is_fatal_and_says_what_to_do(
-    tmp_path: Path, name: str, damage: str
-) -> None:
+def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, damage: str) -> None:
     checkpoint.save(tmp_path, 1, TENSORS, STATE)
     path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE)
     file = path / name
@@ -48,7 +46,9 @@ def test_a_damaged_one_is_fatal_and_says_what_to_do(
     else:
         data[len(data) // 2] ^= 0xFF
         file.write_bytes(data if damage == "flip" else data[: len(data) // 2])
-    with pytest.raises(RunDirectoryError, match="00000002.*delete .* to go on from the one before"):
+    with pytest.raises(
+        RunDirectoryError, match=r"00000002.*delete .* to go on from the one before"
+    ):
         checkpoint.load(tmp_path)
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: object) -
         ({"generation": 1}, "stale", "generation 1, this is 2"),
         ({"weights_version": 6}, "refused", "version 6 is not published"),
         ({"env": 1}, "refused", "found env 1, expected less than 1"),
-        ({"actor": "stranger"}, "refused", "actor stranger has not joined"),
+        ({"actor": "stranger"}, "unknown", "actor stranger has not joined"),
         (
             {"suggestion": np.ones((4, 3), dtype=np.float32)},
             "refused",
@@ -90,7 +91,7 @@ def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: object) -
     ],
 )
 def test_every_segment_is_judged_with_a_reason(
-    run: _Run, fields: dict[str, object], verdict: str, reason: str
+    run: _Run, fields: dict[str, Any], verdict: str, reason: str
 ) -> None:
     run.join("a")
     ack = run.gather.segment(_segment(**fields))
@@ -156,6 +157,26 @@ def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None
     second = run.join("c")
     assert (first.slot, other.slot, second.slot) == (0, 1, 0)
     assert first.seed != second.seed
+
+
+def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
+    """Its segment is not answered while it is away, so it is sent again and not lost."""
+    run.join("a", num_envs=2)
+    run.gather.segment(_segment("a", 0, env=0))
+    run.gather.gone("a")
+    late = _segment("a", 1, env=1)
+    assert run.gather.segment(late).verdict == "unknown"
+    run.join("a", num_envs=2)
+    assert run.gather.segment(late).verdict == "accepted"
+    assert len(run.batch()) == 2
+
+
+def test_a_number_out_of_all_order_is_refused_at_once(run: _Run) -> None:
+    run.join("a")
+    run.gather.segment(_segment(seq=0))
+    ack = run.gather.segment(_segment(seq=2**62))
+    assert (ack.verdict, ack.reason) == ("refused", f"seq {2**62} is not the next")
+    assert run.gather.accounts().sent == 1
 
 
 def test_joining_twice_keeps_the_place_and_the_seed(run: _Run) -> None:

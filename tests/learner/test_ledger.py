@@ -35,11 +35,20 @@ def test_a_segment_is_known_from_its_first_answer_on(tmp_path: Path) -> None:
 
 
 def test_a_gap_in_the_numbers_is_lost_until_it_is_filled(tmp_path: Path) -> None:
+    """Numbers begin where the actor is: it may have served an earlier run."""
     ledger = Ledger(tmp_path / "segments.log")
-    ledger.record("a", 2, "accepted", 5)
-    assert (ledger.accounts().sent, ledger.accounts().lost) == (3, 2)
-    ledger.record("a", 0, "stale", 5)
-    assert (ledger.accounts().sent, ledger.accounts().lost) == (3, 1)
+    for seq, sent, lost in [(7, 1, 0), (10, 4, 2), (8, 4, 1), (5, 6, 2)]:
+        ledger.record("a", seq, "accepted", 5)
+        assert (ledger.accounts().sent, ledger.accounts().lost) == (sent, lost)
+
+
+def test_a_number_far_away_is_recognised_without_being_counted_to(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "segments.log")
+    assert not ledger.leaps("a", 2**62)
+    ledger.record("a", 5, "accepted", 5)
+    assert [ledger.leaps("a", seq) for seq in (6, 10_005, 10_006, 2**62)] == [False] * 2 + [
+        True
+    ] * 2
 
 
 @given(events=EVENTS)

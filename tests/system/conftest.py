@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from system_helpers import Command, Start
 
+
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
     """Start ``a2s`` with these arguments in ``tmp_path``; whatever still runs is ended."""

@@ -38,9 +38,7 @@ def test_two_terminals_in_either_order(
     """The actor comes first and waits; the learner tells it everything."""
     actor = start("actor", "--n", "2", "--connect", endpoint, "--metrics-port", "0")
     wait_for(lambda: len(actor.workers()) == 2, "two workers")
-    learner = start(
-        "learner", *REACH, *FAST, "--listen", endpoint, "--total-steps", "2000", "--metrics-port", "0"
-    )  # fmt: skip
+    learner = start("learner", *REACH, *FAST, "--listen", endpoint, "--total-steps", "2000")
     assert learner.process.wait(timeout=60) == 0, learner.text()
     summary = _summary(tmp_path / "runs" / "default")
     assert summary["env_steps"] >= 2000
@@ -120,9 +118,7 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     assert [e["generation"] for e in events if e["event"] == "start"] == [1, 2]
 
 
-def test_ctrl_c_stops_a_training_cleanly(
-    start: Start, tmp_path: Path, wait_for: WaitFor
-) -> None:
+def test_ctrl_c_stops_a_training_cleanly(start: Start, tmp_path: Path, wait_for: WaitFor) -> None:
     path = tmp_path / "run"
     train = start(
         "train", *REACH, *FAST, "--total-steps", "10000000", "--run-dir", str(path),
