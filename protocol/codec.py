@@ -9,7 +9,7 @@ import itertools
 import reprlib
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Any, TypeVar
@@ -117,7 +117,8 @@ def _plan(kind: type) -> tuple[_Field, ...]:
 
 
 def _to_map(message: Any) -> dict[str, Any]:
-    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(type(message))}
+    kind: Hashable = type(message)
+    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(kind)}
 
 
 def _to_wire(value: Any) -> Any:
