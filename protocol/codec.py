@@ -9,9 +9,8 @@ import itertools
 import reprlib
 import types
 import typing
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
 from typing import Any, TypeVar
 
 import msgpack
@@ -110,15 +109,19 @@ class _Field:
     read: Callable[[Any, str], Any]
 
 
-@cache
+_PLANS: dict[type, tuple[_Field, ...]] = {}
+
+
 def _plan(kind: type) -> tuple[_Field, ...]:
-    hints = typing.get_type_hints(kind)
-    return tuple(_Field(f.name, _reader(hints[f.name])) for f in fields(kind))
+    plan = _PLANS.get(kind)
+    if plan is None:
+        hints = typing.get_type_hints(kind)
+        plan = _PLANS[kind] = tuple(_Field(f.name, _reader(hints[f.name])) for f in fields(kind))
+    return plan
 
 
 def _to_map(message: Any) -> dict[str, Any]:
-    kind: Hashable = type(message)
-    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(kind)}
+    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(type(message))}
 
 
 def _to_wire(value: Any) -> Any:
