@@ -150,7 +150,7 @@ class Learner:
                         "env_steps": self._env_steps,
                         "actor": slot,
                         "weights_version": segment.weights_version,
-                        "return": f"{segment.episode_return:.6g}",
+                        "return": f"{segment.episode_return:.9g}",
                         "length": segment.episode_length,
                         "terminated": int(segment.terminated),
                     }

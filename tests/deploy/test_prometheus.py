@@ -15,6 +15,8 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -48,6 +50,10 @@ class Watched(NamedTuple):
         assert isinstance(result, list)
         return result
 
+    def shows(self, expression: str) -> bool:
+        """Whether there is a number to show."""
+        return shown(self.query(expression))
+
 
 def read(url: str) -> str:
     """Read a page."""
@@ -55,7 +61,7 @@ def read(url: str) -> str:
         return str(page.read().decode())
 
 
-def until(look: Callable[[], T], what: str, timeout_s: float = 60.0) -> T:
+def until(look: Callable[[], T | None], what: str, timeout_s: float = 60.0) -> T:
     """Look until there is something to see."""
     deadline_s = time.monotonic() + timeout_s
     pause = threading.Event()
@@ -168,7 +174,7 @@ def watched(
 
 
 def shown(series: list[dict[str, Any]]) -> bool:
-    """Whether there is a number to show."""
+    """Whether a result has a number."""
     return any(math.isfinite(float(one["value"][1])) for one in series)
 
 
@@ -207,7 +213,7 @@ def test_every_recording_rule_records_something(
     assert recording
     for rule in recording:
         for expression in (rule["expr"], rule["record"]):
-            until(lambda e=expression: shown(watched.query(e)), f"{rule['record']}: {expression}")
+            until(partial(watched.shows, expression), f"{rule['record']}: {expression}")
         assert {one["metric"]["run"] for one in watched.query(rule["record"])} == {"default"}
 
 
@@ -219,8 +225,11 @@ def test_no_rule_fails_and_no_alert_fires_in_a_healthy_run(
     def evaluated() -> list[dict[str, Any]]:
         groups = json.loads(read(f"{watched.api}/rules"))["data"]["groups"]
         found = [rule for group in groups for rule in group["rules"]]
-        return [] if any(rule["health"] == "unknown" for rule in found) else found
+        times = [datetime.fromisoformat(rule["lastEvaluation"]).timestamp() for rule in found]
+        return found if min(times) > learned_s else []
 
+    until(partial(watched.shows, "a2s_learner_loss"), "an update")
+    learned_s = time.time()
     found = until(evaluated, "all rules to be evaluated")
     assert len(found) == len(rules)
     assert [rule["lastError"] for rule in found if rule["health"] != "ok"] == []

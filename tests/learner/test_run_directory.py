@@ -45,7 +45,8 @@ def test_files_are_continued_and_redone_updates_are_forgotten(tmp_path: Path) ->
     directory = RunDirectory(tmp_path, ("update", "loss"), lambda: 1.5)
     directory.keep_updates(1)
     directory.update({"update": 2, "loss": 0.5})
-    assert (tmp_path / "updates.csv").read_text() == "update,loss\n1,0.123457\n2,0.5\n"
+    directory.close()
+    assert (tmp_path / "updates.csv").read_text() == "update,loss\n1,0.123456789\n2,0.5\n"
     events = [json.loads(x) for x in (tmp_path / "events.jsonl").read_text().splitlines()]
     assert [(e["event"], e["generation"], e["wall_s"]) for e in events] == [
         ("start", 1, 1.5),
@@ -58,6 +59,7 @@ def test_episodes_are_read_back(tmp_path: Path) -> None:
     row = {"env_steps": 5, "actor": 0, "weights_version": 1, "length": 5, "terminated": 1}
     directory.episode(**row, **{"return": "-3.25"})
     assert list(directory.read_episodes()) == [(-3.25, 5)]
+    directory.close()
     header, line = (tmp_path / "episodes.csv").read_text().splitlines()
     assert header == "wall_s,env_steps,actor,weights_version,return,length,terminated"
     assert line == "0.000,5,0,1,-3.25,5,1"

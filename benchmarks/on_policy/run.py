@@ -1,0 +1,181 @@
+"""Repeat the on-policy results: python benchmarks/on_policy/run.py SUITE --out runs/bench -j 2.
+
+Every run is `a2s train` with fixed seeds, one actor process and one thread, so that several fit on
+a machine. A run that has finished is not run again; one that was interrupted is resumed. What is
+left behind is one row a run in results.csv beside this file, and the episodes of every run.
+"""
+
+import argparse
+import csv
+import gzip
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).parent
+MODES = ("mean", "best-of-k")
+MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
+COLUMNS = (
+    "suite", "env", "label", "seed", "env_steps", "commit", "options", "mean", "mean_std",
+    "best_of_k", "best_of_k_std", "return_last_tenth", "return_best", "recoveries", "wall_s",
+)  # fmt: skip
+
+LABELS: dict[str, tuple[str, ...]] = {
+    "modern": (),
+    "a2c": ("--algo", "a2c"),
+    "authors": ("--preset", "authors", "--envs", "1"),
+    "authors-a2c": ("--preset", "authors", "--algo", "a2c", "--envs", "1"),
+    "k1": ("--suggestions", "1"),
+    "k4": ("--suggestions", "4"),
+    "hard": ("--set", "selection=hard"),
+    "no-eq6": ("--set", "distil=off"),
+    "no-recovery": ("--set", "recovery=off"),
+}
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Environments, labels, seeds and steps of one table."""
+
+    envs: tuple[str, ...]
+    labels: tuple[str, ...]
+    seeds: tuple[int, ...]
+    steps: int
+
+
+SUITES = {
+    "pendulum": Suite(("InvertedPendulum-v5",), ("modern",), (0, 1, 2, 3, 4), 20_000),
+    "pendulum-8k": Suite(("InvertedPendulum-v5",), ("modern",), (0, 1, 2, 3, 4), 8_000),
+    "hopper-300k": Suite(("Hopper-v5",), ("modern",), (0, 1, 2), 300_000),
+    "million": Suite(MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000),
+    "ablation": Suite(
+        ("Hopper-v5", "HalfCheetah-v5"),
+        ("modern", "k1", "k4", "hard", "no-eq6", "no-recovery"),
+        (0, 1, 2),
+        300_000,
+    ),
+}
+
+
+def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str, object]:
+    """Train and evaluate one seed, unless that was done before."""
+    steps = SUITES[suite].steps
+    path = out / f"{env}-{label}-{steps}-{seed}"
+    options = (
+        "--env", env, "--total-steps", str(steps), "--seed", str(seed), "--n", "1", *LABELS[label],
+    )  # fmt: skip
+    if "--envs" not in options:
+        options += ("--envs", "16")
+    summary_file = path / "summary.json"
+    done = summary_file.exists() and json.loads(summary_file.read_text())["finished"]
+    if not done:
+        resume = ("--resume",) if (path / "checkpoints").exists() else ()
+        _a2s("train", *options, *resume, "--run-dir", str(path), "--metrics-port", "-1", "--json")
+    results = {
+        mode: json.loads(
+            _a2s(
+                "evaluate",
+                str(path),
+                "--episodes",
+                "10",
+                "--mode",
+                mode,
+                "--seed",
+                "1000",
+                "--json",
+            )
+        )
+        for mode in MODES
+    }
+    summary = json.loads(summary_file.read_text())
+    return {
+        "suite": suite,
+        "env": env,
+        "label": label,
+        "seed": seed,
+        "env_steps": summary["env_steps"],
+        "commit": _commit(path),
+        "options": " ".join(options),
+        "mean": round(results["mean"]["mean"], 1),
+        "mean_std": round(results["mean"]["std"], 1),
+        "best_of_k": round(results["best-of-k"]["mean"], 1),
+        "best_of_k_std": round(results["best-of-k"]["std"], 1),
+        "return_last_tenth": _last_tenth(path, suite, summary["env_steps"]),
+        "return_best": round(summary["return_best"], 1),
+        "recoveries": summary["recoveries"],
+        "wall_s": round(summary["wall_s"]),
+    }
+
+
+def _a2s(*arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "a2s.cli", *arguments], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(f"a2s {' '.join(arguments)}: {done.stderr.strip().splitlines()[-1]}")
+    return done.stdout.splitlines()[-1]
+
+
+def _commit(path: Path) -> str:
+    """The commit that a run was made with, written down when it is first seen."""
+    file = path / "commit"
+    if not file.exists():
+        head = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
+        file.write_text(subprocess.check_output(head, text=True).strip())
+    return file.read_text()
+
+
+def _last_tenth(path: Path, suite: str, env_steps: int) -> float:
+    """Mean training return of the last tenth of a run, and a copy of its episodes for the record."""
+    text = (path / "episodes.csv").read_text()
+    kept = HERE / "episodes" / suite / f"{path.name}.csv.gz"
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_bytes(gzip.compress(text.encode(), mtime=0))
+    rows = list(csv.DictReader(text.splitlines()))
+    returns = [float(r["return"]) for r in rows if int(r["env_steps"]) > 0.9 * env_steps]
+    return round(sum(returns) / len(returns), 1)
+
+
+def main() -> None:
+    """Run what is missing of a suite and rewrite its rows of results.csv."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("suite", choices=SUITES)
+    parser.add_argument("--out", type=Path, default=Path("runs/bench"))
+    parser.add_argument("-j", type=int, default=1, help="runs at once")
+    parser.add_argument("--envs", nargs="*", help="only these environments")
+    parser.add_argument("--labels", nargs="*", help="only these labels")
+    arguments = parser.parse_args()
+    suite = SUITES[arguments.suite]
+    jobs = [
+        (arguments.suite, env, label, seed, arguments.out)
+        for seed in suite.seeds
+        for env in arguments.envs or suite.envs
+        for label in arguments.labels or suite.labels
+    ]
+    table = HERE / "results.csv"
+    with ThreadPoolExecutor(arguments.j) as pool:
+        for row in pool.map(lambda job: run_one(*job), jobs):
+            _keep(table, row)
+            sys.stdout.write(f"{row['env']} {row['label']} {row['seed']}: {row['mean']}\n")
+            sys.stdout.flush()
+
+
+def _keep(table: Path, row: dict[str, object]) -> None:
+    key = ("suite", "env", "label", "seed")
+    rows: list[dict[str, object]] = []
+    if table.exists():
+        with table.open(newline="") as file:
+            rows = [dict(r) for r in csv.DictReader(file)]
+    rows = [r for r in rows if any(str(r[k]) != str(row[k]) for k in key)] + [row]
+    rows.sort(key=lambda r: [str(r[k]) for k in key])
+    with table.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""Evaluation: fresh episodes, the same again for the same seed, from a run or from a file."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from a2s.commands.evaluate import evaluate_run
+from a2s.protocol.errors import UsageError
+
+MakeGraph = Callable[..., bytes]
+COUNT = "a2s_test_envs:Count-v0"
+
+
+@pytest.fixture
+def policy(tmp_path: Path, make_graph: MakeGraph) -> Path:
+    """A policy file for the counting environment."""
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(make_graph())
+    return path
+
+
+def _evaluate(run: Path, env: str | None = None, **changed: object) -> dict[str, object]:
+    options = {"episodes": 4, "mode": "mean", "weights": "latest", "seed": 0, **changed}
+    return evaluate_run(run, env, **options)  # type: ignore[arg-type]
+
+
+def test_every_episode_is_played_to_its_end(policy: Path) -> None:
+    """Rewards of 1 to 5 in five steps."""
+    result = _evaluate(policy)
+    assert result["env"] == COUNT
+    assert (result["returns"], result["lengths"]) == ([15.0] * 4, [5] * 4)
+    assert (result["mean"], result["std"], result["episodes"]) == (15.0, 0.0, 4)
+
+
+@pytest.mark.parametrize("mode", ["mean", "best-of-k", "behaviour"])
+def test_a_seed_gives_the_same_episodes_and_another_gives_others(
+    tmp_path: Path, make_graph: MakeGraph, mode: str
+) -> None:
+    path = tmp_path / "hopper.onnx"
+    path.write_bytes(make_graph(obs_size=11, low=(-1.0,) * 3, high=(1.0,) * 3))
+    first, again, other = (
+        _evaluate(path, "Hopper-v5", mode=mode, seed=seed)["returns"] for seed in (1, 1, 2)
+    )
+    assert first == again
+    assert first != other
+    assert isinstance(first, list)
+    assert len(set(first)) == 4
+
+
+def test_the_environment_of_a_run_is_known_and_its_weights_can_be_chosen(
+    tmp_path: Path, make_graph: MakeGraph
+) -> None:
+    run = tmp_path / "run"
+    (run / "best").mkdir(parents=True)
+    (run / "best" / "policy.onnx").write_bytes(make_graph())
+    (run / "config.toml").write_text(f'[run]\nenv = "{COUNT}"\n')
+    assert _evaluate(run, weights="best")["mean"] == 15.0
+    with pytest.raises(UsageError, match="latest/policy.onnx: No such file"):
+        _evaluate(run)
+
+
+def test_a_policy_of_other_sizes_is_refused(policy: Path) -> None:
+    with pytest.raises(UsageError, match=r"found .*\(2, 2\), expected \(11, 3\) for Hopper-v5"):
+        _evaluate(policy, "Hopper-v5")
+
+
+def test_a_file_that_is_no_policy_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.onnx").write_text("not a policy")
+    with pytest.raises(UsageError, match="x.onnx: policy graph: cannot be loaded"):
+        _evaluate(tmp_path / "x.onnx")

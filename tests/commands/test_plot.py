@@ -1,0 +1,47 @@
+"""Curves: the mean over seeds with a moving average of three, from runs as they are written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from a2s.commands.plot import mean_over_seeds, plot, smooth
+from a2s.protocol.errors import UsageError
+
+
+def _run(path: Path, rows: list[tuple[int, float]], env: str = "Hopper-v5") -> Path:
+    path.mkdir()
+    config = f'[run]\nenv = "{env}"\nalgo = "a2s"\npreset = "modern"\n'
+    (path / "config.toml").write_text(config)
+    lines = [f"0,{steps},0,1,{value},5,1" for steps, value in rows]
+    header = "wall_s,env_steps,actor,weights_version,return,length,terminated"
+    (path / "episodes.csv").write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def test_the_moving_average_is_centred_and_shorter_at_the_ends() -> None:
+    assert smooth(np.array([0.0, 3.0, 6.0, 0.0])).tolist() == [1.5, 3.0, 3.0, 3.0]
+
+
+def test_the_mean_is_over_seeds_not_over_episodes() -> None:
+    """A seed with many short episodes weighs no more than one with few long ones."""
+    many = np.arange(1.0, 1001.0), np.full(1000, 10.0)
+    few = np.linspace(10.0, 1000.0, 100), np.full(100, 20.0)
+    steps, mean = mean_over_seeds([many, few])
+    assert np.allclose(mean, 15.0)
+    assert (steps[0], steps[-1]) == (5.0, 995.0)
+
+
+def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) -> None:
+    rows = [(10 * i, float(i)) for i in range(1, 50)]
+    runs = [_run(tmp_path / name, rows) for name in ("a", "b")]
+    runs.append(_run(tmp_path / "c", rows, env="Walker2d-v5"))
+    plot(runs, tmp_path / "sub" / "curves.png")
+    assert (tmp_path / "sub" / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no episode has ended yet"):
+        plot([_run(tmp_path / "a", [])], tmp_path / "x.png")
+    with pytest.raises(UsageError, match="curves.nope"):
+        plot([_run(tmp_path / "b", [(1, 1.0)])], tmp_path / "curves.nope")
