@@ -1,16 +1,24 @@
-"""The only door to Gymnasium: flat Box observations in, Box actions out."""
+"""The only door to Gymnasium and MuJoCo: flat Box observations in, Box actions out."""
 
 import importlib
+import logging
 import warnings
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 
 from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import Array, Spaces
 
+logger = logging.getLogger(__name__)
+
 _SUPPORTED = "supported are flat Box observations and flat Box actions with finite bounds"
+
+
+# Otherwise MuJoCo prints and leaves a MUJOCO_LOG.TXT behind, also for outdated models.
+mujoco.set_mju_user_warning(lambda words: logger.debug("mujoco: %s", words))
 
 
 class Environment:

@@ -71,6 +71,7 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         options += ("--envs", "16")
     summary_file = path / "summary.json"
     done = summary_file.exists() and json.loads(summary_file.read_text())["finished"]
+    commit = _commit(path)
     if not done:
         resume = ("--resume",) if (path / "checkpoints").exists() else ()
         _a2s("train", *options, *resume, "--run-dir", str(path), "--metrics-port", "-1", "--json")
@@ -97,7 +98,7 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         "label": label,
         "seed": seed,
         "env_steps": summary["env_steps"],
-        "commit": _commit(path),
+        "commit": commit,
         "options": " ".join(options),
         "mean": round(results["mean"]["mean"], 1),
         "mean_std": round(results["mean"]["std"], 1),
@@ -120,7 +121,8 @@ def _a2s(*arguments: str) -> str:
 
 
 def _commit(path: Path) -> str:
-    """The commit that a run was made with, written down when it is first seen."""
+    """Write down the commit that a run is begun with."""
+    path.mkdir(parents=True, exist_ok=True)
     file = path / "commit"
     if not file.exists():
         head = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
@@ -129,7 +131,7 @@ def _commit(path: Path) -> str:
 
 
 def _last_tenth(path: Path, suite: str, env_steps: int) -> float:
-    """Mean training return of the last tenth of a run, and a copy of its episodes for the record."""
+    """Average the training returns of the last tenth of a run, and keep all its episodes."""
     text = (path / "episodes.csv").read_text()
     kept = HERE / "episodes" / suite / f"{path.name}.csv.gz"
     kept.parent.mkdir(parents=True, exist_ok=True)
