@@ -29,24 +29,27 @@ from a2s.protocol.errors import UsageError
 Snapshot = dict[str, Any]
 _FAST_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 _SLOW_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1, 0.5, 1.0, 5.0, 10.0)
+_VERDICTS = ("accepted", "duplicate", "stale", "refused")
+_LOST = ("malformed", "shutdown")
 _STEPS = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 
 
 class _Described(NamedTuple):
     help: str
     label: str | None = None
+    values: tuple[str, ...] = ("",)
     buckets: tuple[float, ...] = ()
 
 
 COUNTERS = {
     "env_steps": _Described("Environment steps made."),
-    "episodes": _Described("Finished episodes.", "end"),
+    "episodes": _Described("Finished episodes.", "end", ("terminated", "truncated")),
     "recovery_events": _Described("Recoveries of the learner that this actor followed."),
     "messages_sent": _Described("Segments put on the wire, resent ones included."),
     "sent_bytes": _Described("Bytes of segments put on the wire."),
-    "acks": _Described("Answers of the learner by verdict.", "result"),
+    "acks": _Described("Answers of the learner by verdict.", "result", _VERDICTS),
     "retries": _Described("Segments sent again because there was no answer."),
-    "dropped_transitions": _Described("Transitions lost on purpose.", "reason"),
+    "dropped_transitions": _Described("Transitions lost on purpose.", "reason", _LOST),
     "weights_received_bytes": _Described("Bytes of weights received."),
     "joins": _Described("Times that this actor joined a learner."),
     "cpu_seconds": _Described("Processor time of the worker process."),
@@ -165,7 +168,8 @@ class Fleet(Collector):
             labels = ["worker", described.label] if described.label else ["worker"]
             counter = CounterMetricFamily(f"a2s_actor_{name}", described.help, labels=labels)
             for worker, snapshot in enumerate(now):
-                for value, amount in _known(snapshot["counters"][name], described).items():
+                counted = dict.fromkeys(described.values, 0.0) | snapshot["counters"][name]
+                for value, amount in counted.items():
                     counter.add_metric([str(worker), value][: len(labels)], amount)
             yield counter
         for name, described in GAUGES.items():
@@ -194,11 +198,6 @@ def _nothing() -> Snapshot:
 def _resident_bytes() -> float:
     with open("/proc/self/statm", "rb") as statm:
         return float(int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
-
-
-def _known(values: dict[str, float], described: _Described) -> dict[str, float]:
-    """A counter without a label is 0 before it is counted; one with a label has no child yet."""
-    return values if values or described.label else {"": 0.0}
 
 
 def _gauge(name: str, help_text: str, values: Sequence[float | None]) -> GaugeMetricFamily:

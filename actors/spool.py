@@ -61,6 +61,7 @@ class Spool:
         self._thread = threading.Thread(target=self._send_all, name="spool")
         self._thread.start()
         tally.gauge("outbox_capacity_transitions", capacity_steps)
+        tally.gauge("outbox_transitions", 0)
 
     @property
     def steps(self) -> int:
@@ -83,7 +84,7 @@ class Spool:
             if not self._changed.wait_for(lambda: self._fits(item), timeout=timeout_s):
                 return False
             self._waiting.append(item)
-            self._steps += item.steps
+            self._count_steps(item.steps)
             self._changed.notify_all()
         return True
 
@@ -119,18 +120,21 @@ class Spool:
                 return
             with self._changed:
                 self._waiting.popleft()
-                self._steps -= item.steps
+                self._count_steps(-item.steps)
                 self._answered += 1
                 self._changed.notify_all()
             self._on_ack(ack)
             self._pause(ack.wait_s)
+
+    def _count_steps(self, steps: int) -> None:
+        self._steps += steps
+        self._tally.gauge("outbox_transitions", self._steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
         """Send until answered, or until the spool is closed."""
         back_off_s, longest_s = _BACK_OFF_S
         while not self._closing:
             begin = time.perf_counter()
-            self._tally.gauge("outbox_transitions", self._steps)
             self._tally.count("messages_sent")
             self._tally.count("sent_bytes", len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)

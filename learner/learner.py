@@ -87,6 +87,7 @@ class Learner:
             self._resume()
         self._generation = self._directory.count_start()
         self._steps_at_start = self._env_steps = self._ledger.accepted_steps
+        metrics.env_steps.inc(self._env_steps)
         keys = Keys(self._run.run)
         terms = Terms(
             run=self._run.run,

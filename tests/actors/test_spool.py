@@ -52,10 +52,12 @@ def test_segments_arrive_in_order_and_are_forgotten_when_answered(wait_for: Wait
         return _ack()
 
     InProcessBus(exchange).answer("k", answer)
-    with _spool(exchange, 1000, Tally()) as (spool, acks):
+    tally = Tally()
+    with _spool(exchange, 1000, tally) as (spool, acks):
         assert all(spool.put(_segment(seq), 1.0) for seq in range(20))
         wait_for(lambda: spool.answered == 20, "20 answers")
         assert (seen, spool.steps, len(acks)) == (list(range(20)), 0, 20)
+        assert tally.snapshot()["gauges"]["outbox_transitions"] == 0
 
 
 def test_a_segment_without_an_answer_is_sent_again_the_same_bytes(wait_for: WaitFor) -> None:
