@@ -56,7 +56,7 @@ def test_the_environment_of_a_run_is_known_and_its_weights_can_be_chosen(
     (run / "best" / "policy.onnx").write_bytes(make_graph())
     (run / "config.toml").write_text(f'[run]\nenv = "{COUNT}"\n')
     assert _evaluate(run, weights="best")["mean"] == 15.0
-    with pytest.raises(UsageError, match="latest/policy.onnx: No such file"):
+    with pytest.raises(UsageError, match=r"latest/policy.onnx: No such file"):
         _evaluate(run)
 
 
@@ -67,5 +67,5 @@ def test_a_policy_of_other_sizes_is_refused(policy: Path) -> None:
 
 def test_a_file_that_is_no_policy_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.onnx").write_text("not a policy")
-    with pytest.raises(UsageError, match="x.onnx: policy graph: cannot be loaded"):
+    with pytest.raises(UsageError, match=r"x.onnx: policy graph: cannot be loaded"):
         _evaluate(tmp_path / "x.onnx")

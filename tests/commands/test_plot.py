@@ -43,5 +43,5 @@ def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) ->
 def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode has ended yet"):
         plot([_run(tmp_path / "a", [])], tmp_path / "x.png")
-    with pytest.raises(UsageError, match="curves.nope"):
+    with pytest.raises(UsageError, match=r"curves.nope"):
         plot([_run(tmp_path / "b", [(1, 1.0)])], tmp_path / "curves.nope")
