@@ -141,7 +141,8 @@ class LiveView:
         self._live.stop()
 
     def _draw(self, progress: Progress, rate: float, waited_s: float) -> Group:
-        bar = ProgressBar(total=progress.total_steps, completed=progress.env_steps, width=60)
+        bar = Table.grid()
+        bar.add_row(ProgressBar(progress.total_steps, progress.env_steps, width=_CURVE_POINTS))
         left = progress.total_steps - progress.env_steps
         ends = f"{_duration(left / rate)} left" if rate > 0 and left > 0 else ""
         table = Table.grid(padding=(0, 3))
