@@ -57,6 +57,7 @@ class Spool:
         self._steps = 0
         self._answered = 0
         self._closing = False
+        self._held_back = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._send_all, name="spool")
         self._thread.start()
@@ -89,7 +90,8 @@ class Spool:
         return True
 
     def _fits(self, item: _Waiting) -> bool:
-        return not self._waiting or self._steps + item.steps <= self._capacity_steps
+        capacity_steps = 0 if self._held_back else self._capacity_steps
+        return not self._waiting or self._steps + item.steps <= capacity_steps
 
     def close(self, timeout_s: float) -> int:
         """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
@@ -122,6 +124,7 @@ class Spool:
                 self._waiting.popleft()
                 self._count_steps(-item.steps)
                 self._answered += 1
+                self._held_back = ack.wait_s > 0
                 self._changed.notify_all()
             self._on_ack(ack)
             self._pause(ack.wait_s)

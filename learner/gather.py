@@ -27,9 +27,10 @@ from a2s.protocol.messages import (
 
 _WAIT_S = 0.5
 _SILENT_S = 30.0
-_BATCHES_AHEAD = 4
+_HELD_BACK_BATCHES = 1
+_MOST_BATCHES = 4
 _PATIENCE = 10
-_HOLD_BACK_S = 0.1
+_HOLD_BACK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,7 +256,7 @@ class Gather:
         lag, allowed = notice.version - segment.weights_version, self._terms.max_policy_lag
         if lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
-        if self._pending_steps > 2 * _BATCHES_AHEAD * self._batch_steps:
+        if self._pending_steps >= _MOST_BATCHES * self._batch_steps:
             return "more waits than can be learned from in time"
         return ""
 
@@ -275,7 +276,8 @@ class Gather:
     def _ack(self, verdict: Verdict, reason: str, segment: Segment | None) -> Ack:
         steps = 0 if segment is None else segment.num_steps
         self._metrics.received.labels(result=verdict).inc(steps)
-        behind = self._pending_steps > _BATCHES_AHEAD * self._batch_steps
+        is_async = self._terms.clock == "async"
+        behind = is_async and self._pending_steps >= _HELD_BACK_BATCHES * self._batch_steps
         return Ack(
             verdict=verdict,
             reason=reason,

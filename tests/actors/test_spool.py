@@ -26,9 +26,9 @@ def _segment(seq: int, steps: int = 4) -> Segment:
     )  # fmt: skip
 
 
-def _ack(verdict: Verdict = "accepted") -> bytes:
+def _ack(verdict: Verdict = "accepted", wait_s: float = 0.0) -> bytes:
     return encode(
-        Ack(verdict=verdict, reason="", generation=1, epoch=0, weights_version=1, wait_s=0.0)
+        Ack(verdict=verdict, reason="", generation=1, epoch=0, weights_version=1, wait_s=wait_s)
     )
 
 
@@ -88,6 +88,16 @@ def test_a_full_spool_takes_nothing_until_the_learner_is_back(wait_for: WaitFor)
         InProcessBus(exchange).answer("k", lambda _: _ack())
         assert spool.put(_segment(2), 10.0)
         wait_for(lambda: spool.answered == 3, "3 answers")
+
+
+def test_a_learner_that_is_behind_is_sent_one_segment_at_a_time(wait_for: WaitFor) -> None:
+    exchange = Exchange()
+    InProcessBus(exchange).answer("k", lambda _: _ack(wait_s=30.0))
+    with _spool(exchange, 1000, Tally()) as (spool, _):
+        assert spool.put(_segment(0), 1.0)
+        wait_for(lambda: spool.answered == 1, "the answer")
+        assert spool.put(_segment(1), 1.0)
+        assert not spool.put(_segment(2), 0.01)
 
 
 def test_a_segment_larger_than_the_spool_still_fits_when_it_is_empty() -> None:
