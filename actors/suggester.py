@@ -22,7 +22,7 @@ class Choice(NamedTuple):
     Attributes:
         action: In the environment's units and bounds, float32 ``[B, A]``.
         suggestion: The chosen suggestion in canonical units before clipping, ``[B, A]``.
-        log_prob: Its log density under the policy, ``[B]``.
+        log_prob: Its log density as executed, ``[B]``: see docs/protocol.md, "The graph".
         q_spread: Highest minus mean Q over the suggestions, ``[B]``.
     """
 

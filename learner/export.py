@@ -8,7 +8,7 @@ Contract of the graph, float32 throughout, ``B`` free, ``K`` and ``A`` fixed::
 
     obs     [B, D]        ->  action      [B, A]   in the environment's units, within its bounds
     normal  [B, K, A]         suggestion  [B, A]   canonical, before clipping
-    gumbel  [B, K]            log_prob    [B]      of the suggestion under the policy
+    gumbel  [B, K]            log_prob    [B]      of the suggestion as executed
     (soft selection only)     q_spread    [B]      largest score less the mean, in returns
 """
 
@@ -22,7 +22,8 @@ import numpy.typing as npt
 import onnx
 from onnx import TensorProto, helper
 
-from a2s.learner.algorithm.networks import LAYER_NORM_EPS, OBS_LIMIT, Body
+from a2s.learner.algorithm.body import LAYER_NORM_EPS, Body
+from a2s.learner.algorithm.networks import OBS_LIMIT
 from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.algorithm.suggestion import SPREAD_EPS
 
@@ -146,6 +147,7 @@ def _numbers(suggester: Suggester, form: _Form) -> dict[str, Array]:
     if form.mode == "soft":
         numbers["temperature"] = _constant([suggester.temperature])
         numbers["spread_eps"] = _constant([SPREAD_EPS])
+        numbers["log_k"] = _constant([math.log(form.suggestions)])
     return numbers
 
 
@@ -221,7 +223,7 @@ class _Nodes:
         return self.add("Mul", self.add("Add", *found), "half")
 
     def select(self, score: str) -> str:
-        """Index of the chosen suggestion, ``[B, 1]``; writes ``q_spread``."""
+        """Index of the chosen suggestion, ``[B, 1]``; writes ``q_spread`` and ``preference``."""
         centred = self.add("Sub", score, self.add("ReduceMean", score, "axis_1", keepdims=1))
         widest = self.add("ReduceMax", centred, "axis_1", keepdims=0)
         self.add("Mul", widest, "q_scale", to="q_spread")
@@ -230,13 +232,20 @@ class _Nodes:
         variance = self.add("ReduceMean", self.add("Mul", centred, centred), "axis_1", keepdims=1)
         spread = self.add("Mul", self.add("Sqrt", variance), "temperature")
         logit = self.add("Div", centred, self.add("Add", spread, "spread_eps"))
-        return self.add("ArgMax", self.add("Add", logit, "gumbel"), axis=1, keepdims=1)
+        index = self.add("ArgMax", self.add("Add", logit, "gumbel"), axis=1, keepdims=1)
+        chosen = self.add("Squeeze", self.add("GatherElements", logit, index, axis=1), "axis_1")
+        chance = self.add("Sub", chosen, self.add("ReduceLogSumExp", logit, "axis_1", keepdims=0))
+        self.add("Add", chance, "log_k", to="preference")
+        return index
 
     def answer(self, mean: str, noise: str) -> None:
         """The outputs that follow from the noise of the chosen suggestion, ``[B, A]``."""
         self.add("Add", mean, self.add("Mul", noise, "std"), to="suggestion")
         square = self.add("ReduceSum", self.add("Mul", noise, noise), "axis_1", keepdims=0)
-        self.add("Sub", self.add("Mul", square, "minus_half"), "log_norm", to="log_prob")
+        exponent = self.add("Mul", square, "minus_half")
+        if self.form.mode == "soft":
+            exponent = self.add("Add", exponent, "preference")
+        self.add("Sub", exponent, "log_norm", to="log_prob")
         wide = self.add("Add", self.add("Mul", "suggestion", "half_range"), "centre")
         self.add("Min", self.add("Max", wide, "low"), "high", to="action")
 

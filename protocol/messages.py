@@ -160,7 +160,7 @@ class Segment:
         obs: Observations, float32 ``[T, D]``.
         suggestion: Executed suggestions in canonical coordinates (-1..1 spans the action
             bounds), before they were clipped, float32 ``[T, A]``.
-        log_prob: Log density of the suggestion under the policy, float32 ``[T]``.
+        log_prob: Log density of the suggestion as executed, float32 ``[T]``.
         reward: Undiscounted rewards, float32 ``[T]``.
         final_obs: Observation after the last step, float32 ``[D]``.
         terminated: The last step reached a terminal state, so ``final_obs`` has value 0.

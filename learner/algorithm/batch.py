@@ -13,7 +13,7 @@ class Batch:
     Attributes:
         obs: Observations before each step, float32 ``[N, D]``.
         suggestion: Executed suggestions, canonical, before clipping, float32 ``[N, A]``.
-        log_prob: Their log density under the policy that suggested them, float32 ``[N]``.
+        log_prob: Their log density as executed, selection included, float32 ``[N]``.
         reward: Undiscounted rewards, float32 ``[N]``.
         lengths: Steps of each segment, in the order of the rows, int64 ``[S]``, summing to N.
         weights_version: Version that made each segment, int64 ``[S]``.

@@ -4,12 +4,13 @@ Source: section 4.1.1 of the paper, "we take multiple gradient steps for value n
 network".
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from a2s.learner.algorithm.body import Body
 from a2s.learner.algorithm.optimiser import Adam
 
 
@@ -18,18 +19,24 @@ class Regression:
     """One network to be fitted.
 
     Attributes:
-        predict: The network: ``[M, in]`` to ``[M]``, or ``[E, M]`` for an ensemble.
+        body: Its body, which has one output for each of E members.
         inputs: What it sees, ``[N, in]``.
         optimiser: Of its parameters.
     """
 
-    predict: Callable[[Tensor], Tensor]
+    body: Body
     inputs: Tensor
     optimiser: Adam
 
-    def loss(self, inputs: Tensor, target: Tensor) -> Tensor:
-        """Mean squared error, summed over an ensemble."""
-        error = self.predict(inputs) - target
+    @torch.no_grad()
+    def step(
+        self, inputs: Tensor, target: Tensor, learning_rate: float, max_grad_norm: float
+    ) -> Tensor:
+        """Make a step down the mean squared error, summed over the members, and return it."""
+        value, layers = self.body.trace(inputs)
+        error = value.squeeze(-1) - target
+        self.body.differentiate(layers, (error * (2.0 / len(target))).unsqueeze(-1))
+        self.optimiser.step(learning_rate, max_grad_norm)
         return error.square().sum() / len(target)
 
 
@@ -71,9 +78,9 @@ def fit_epochs(
         totals.zero_()
         for index, wanted in enumerate(targets):
             for number, job in enumerate(jobs):
-                loss = job.loss(inputs[number][index], wanted)
-                job.optimiser.descend(loss, learning_rate, max_grad_norm)
-                totals[number] += loss.detach()
+                totals[number] += job.step(
+                    inputs[number][index], wanted, learning_rate, max_grad_norm
+                )
     return (totals / count).tolist()
 
 
@@ -110,8 +117,7 @@ def fit_threshold(
     total = 0.0
     for made in range(1, steps + extra_steps + 1):
         rows = torch.randint(len(target), (minibatch,), generator=generator)
-        loss = job.loss(job.inputs[rows], target[rows])
-        job.optimiser.descend(loss, learning_rate, max_grad_norm)
+        loss = job.step(job.inputs[rows], target[rows], learning_rate, max_grad_norm)
         total += loss.item()
         if made > steps and total / made < threshold:
             break

@@ -64,6 +64,7 @@ _NUMBERS: dict[str, tuple[float, float]] = {
     "fit_threshold": (0.0, math.inf),
     "q_weight_decay": (0.0, 1e3),
     "clip_ratio": (1e-6, 1e6),
+    "weight_limit": (0.0, math.inf),
     "entropy_weight": (0.0, 1e6),
     "kl_stop": (0.0, math.inf),
     "distil_weight": (0.0, 1e6),
@@ -181,6 +182,8 @@ class OnPolicyHyper:
     """``score``: log-density times advantage; ``clip``: the clipped ratio of PPO."""
     clip_ratio: float
     """How far the ratio of densities may go from 1 in the loss ``clip``."""
+    weight_limit: float
+    """Greatest importance weight of an executed suggestion, for being picked; 0: not weighed."""
     entropy_weight: float
     """Weight of the entropy bonus, nats."""
     policy_epochs: int

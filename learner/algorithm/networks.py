@@ -8,20 +8,13 @@ normalisation before the non-linearity as in the authors' code.
 """
 
 import math
-from collections.abc import Callable, Sequence
 
 import torch
-import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from a2s.learner.algorithm.hyperparameters import Activation, Init, OnPolicyHyper
+from a2s.learner.algorithm.body import Body
+from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 
-ACTIVATIONS: dict[Activation, Callable[[Tensor], Tensor]] = {
-    "tanh": torch.tanh,
-    "silu": F.silu,
-    "relu": torch.relu,
-}
-LAYER_NORM_EPS = 1e-5
 OBS_LIMIT = 10.0
 
 
@@ -68,61 +61,6 @@ class Normaliser(nn.Module):
             return obs
         mean, factor = self.constants()
         return ((obs - mean) * factor).clamp(-OBS_LIMIT, OBS_LIMIT)
-
-
-class Body(nn.Module):
-    """Linear, layer normalisation (optional), non-linearity for each hidden layer; then Linear.
-
-    Args:
-        sizes: Units of input, hidden layers and output.
-        members: E, networks evaluated together.
-        hyper: Gives activation, layer_norm and init.
-        output_gain: Gain of the output layer in the init ``orthogonal``.
-        generator: Draws the first weights.
-    """
-
-    def __init__(
-        self,
-        sizes: Sequence[int],
-        *,
-        members: int,
-        hyper: OnPolicyHyper,
-        output_gain: float,
-        generator: torch.Generator,
-    ) -> None:
-        super().__init__()
-        self.members = members
-        self.layer_norm = hyper.layer_norm
-        self.activation = hyper.activation
-        self._activate = ACTIVATIONS[hyper.activation]
-        gains = [math.sqrt(2.0)] * (len(sizes) - 2) + [output_gain]
-        weight, bias = [], []
-        for index, (rows, columns, gain) in enumerate(
-            zip(sizes[:-1], sizes[1:], gains, strict=True)
-        ):
-            limit = 1.0 if index < len(sizes) - 2 else 0.1
-            drawn = torch.empty(members, rows, columns)
-            _draw(drawn, hyper.init, limit, gain, generator)
-            weight.append(nn.Parameter(drawn))
-            bias.append(nn.Parameter(torch.zeros(members, 1, columns)))
-        self.weight = nn.ParameterList(weight)
-        self.bias = nn.ParameterList(bias)
-        hidden = sizes[1:-1] if hyper.layer_norm else ()
-        self.gain = nn.ParameterList([nn.Parameter(torch.ones(members, 1, n)) for n in hidden])
-        self.offset = nn.ParameterList([nn.Parameter(torch.zeros(members, 1, n)) for n in hidden])
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map inputs ``[N, in]`` to outputs ``[E, N, out]``."""
-        rows = x.expand(self.members, *x.shape)
-        return self.after_first(torch.baddbmm(self.bias[0], rows, self.weight[0]))
-
-    def after_first(self, x: Tensor) -> Tensor:
-        """Go on from the sums of the first layer, ``[E, N, hidden]``, to ``[E, N, out]``."""
-        for index in range(1, len(self.weight)):
-            if self.layer_norm:
-                x = _layer_norm(x, self.gain[index - 1], self.offset[index - 1])
-            x = torch.baddbmm(self.bias[index], self._activate(x), self.weight[index])
-        return x
 
 
 class Policy(nn.Module):
@@ -221,22 +159,3 @@ class Q(nn.Module):
         both = acted.view(self.members, rows, count, -1) + seen.unsqueeze(2)
         value: Tensor = self.body.after_first(both.flatten(1, 2))
         return self.combined(value.view(self.members, rows, count))
-
-
-def _layer_norm(x: Tensor, gain: Tensor, offset: Tensor) -> Tensor:
-    """Normalise ``[E, N, hidden]``; gain and offset are ``[E, 1, hidden]``, one kernel if E = 1."""
-    width = x.shape[-1:]
-    if len(gain) == 1:
-        return F.layer_norm(x, width, gain.view(-1), offset.view(-1), LAYER_NORM_EPS)
-    return torch.addcmul(offset, F.layer_norm(x, width, eps=LAYER_NORM_EPS), gain)
-
-
-def _draw(
-    weight: Tensor, init: Init, limit: float, gain: float, generator: torch.Generator
-) -> None:
-    """Fill a layer's weights ``[E, in, out]`` with their first values."""
-    if init == "uniform":
-        nn.init.uniform_(weight, -limit, limit, generator=generator)
-    else:
-        for member in weight:
-            nn.init.orthogonal_(member, gain=gain, generator=generator)

@@ -51,9 +51,14 @@ class Adam:
 
     def descend(self, loss: Tensor, learning_rate: float, max_grad_norm: float) -> None:
         """Make one step down a loss, its gradient shortened to a norm unless that is 0."""
-        grad, value = self._parameters.grad, self._parameters.value
-        grad.zero_()
+        self._parameters.grad.zero_()
         torch.autograd.backward(loss)
+        self.step(learning_rate, max_grad_norm)
+
+    @torch.no_grad()
+    def step(self, learning_rate: float, max_grad_norm: float) -> None:
+        """Make one step down the gradients that are there, shortened to a norm unless that is 0."""
+        grad, value = self._parameters.grad, self._parameters.value
         if max_grad_norm > 0:
             grad.mul_((max_grad_norm / (grad.norm() + 1e-6)).clamp_(max=1.0))
         self._steps += 1

@@ -27,8 +27,9 @@ class PolicyData:
     Attributes:
         obs: Normalised, ``[N, D]``.
         action: Suggestions, not clipped, ``[N, J, A]``.
-        log_prob: Their log density when they were drawn, ``[N, J]``.
+        log_prob: Their log density under the policy before the update, ``[N, J]``.
         advantage: ``[N, J]``.
+        weight: Importance of each for an average over that policy, ``[N, J]``.
         mean: Of the policy that the KL divergence is measured from, ``[N, A]``.
         log_std: Of the same policy, ``[A]``.
         distil_target: mu^Q of equation 6 where it is learned jointly, ``[N, A]``.
@@ -38,6 +39,7 @@ class PolicyData:
     action: Tensor
     log_prob: Tensor
     advantage: Tensor
+    weight: Tensor
     mean: Tensor
     log_std: Tensor
     distil_target: Tensor | None
@@ -63,9 +65,30 @@ def entropy(log_std: Tensor) -> Tensor:
     return (log_std + HALF_LOG_2PI + 0.5).sum()
 
 
-def normalised(advantage: Tensor) -> Tensor:
-    """Advantages of a batch with mean 0 and standard deviation 1."""
-    return (advantage - advantage.mean()) / (advantage.std(correction=0) + 1e-8)
+def importance(log_prob: Tensor, executed_log_prob: Tensor, limit: float) -> Tensor:
+    """Weights, with mean 1, that make an average over executed suggestions one over the policy.
+
+    What Q prefers is executed more often than the policy draws it; unless that is undone, the
+    gradient of its density pulls wherever Q points, good or not, and shrinks the deviation.
+
+    Args:
+        log_prob: Under the policy, ``[N, J]``.
+        executed_log_prob: With the selection, ``[N, J]``.
+        limit: Greatest weight before they are brought to mean 1; 0: all are 1.
+
+    Source: Hilton et al. 2021, "Batch size-invariance for policy optimization": the
+    policy that the ratio is clipped around need not be the one that acted.
+    """
+    if limit == 0:
+        return torch.ones_like(log_prob)
+    weight = (log_prob - executed_log_prob).exp().clamp(max=limit)
+    return weight / weight.mean()
+
+
+def normalised(advantage: Tensor, weight: Tensor) -> Tensor:
+    """Advantages of a batch with weighted mean 0 and standard deviation 1."""
+    centred = advantage - (weight * advantage).mean()
+    return centred / ((weight * centred.square()).mean().sqrt() + 1e-8)
 
 
 def advantage_over_others(q_value: Tensor) -> Tensor:
@@ -81,25 +104,31 @@ def advantage_over_others(q_value: Tensor) -> Tensor:
 
 
 def policy_loss(
-    kind: PolicyLoss, log_prob: Tensor, old_log_prob: Tensor, advantage: Tensor, clip: float
+    kind: PolicyLoss,
+    log_prob: Tensor,
+    old_log_prob: Tensor,
+    advantage: Tensor,
+    weight: Tensor,
+    clip: float,
 ) -> Tensor:
     """Loss whose gradient is minus the policy gradient, a scalar.
 
     Args:
         kind: ``score`` or ``clip``.
         log_prob: Of the present policy, ``[M, J]``.
-        old_log_prob: When the suggestions were drawn, ``[M, J]``; only ``clip`` reads it.
+        old_log_prob: Of the policy before the update, ``[M, J]``; only ``clip`` reads it.
         advantage: ``[M, J]``.
+        weight: Importance of each, ``[M, J]``.
         clip: Epsilon of ``clip``.
 
     Source: equation 4 of the paper (``score``; the authors' mean over dimensions differs by a
     factor, which Adam undoes); Schulman et al. 2017, equation 7 (``clip``).
     """
     if kind == "score":
-        return -(log_prob * advantage).mean()
+        return -(weight * log_prob * advantage).mean()
     ratio = (log_prob - old_log_prob).exp()
     limited = ratio.clamp(1.0 - clip, 1.0 + clip)
-    return -torch.minimum(ratio * advantage, limited * advantage).mean()
+    return -(weight * torch.minimum(ratio * advantage, limited * advantage)).mean()
 
 
 @torch.no_grad()
@@ -148,7 +177,9 @@ def _losses(policy: Policy, part: PolicyData, hyper: OnPolicyHyper) -> Tensor:
     """Losses of the policy gradient and, weighted, of equation 6, ``[2]``."""
     mean = policy(part.obs)
     log_prob = log_density(mean, policy.log_std, part.action)
-    loss = policy_loss(hyper.policy_loss, log_prob, part.log_prob, part.advantage, hyper.clip_ratio)
+    loss = policy_loss(
+        hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
+    )
     if part.distil_target is None:
         return torch.stack([loss, torch.zeros(())])
     extra = distil_loss(hyper.distil_loss, mean, part.distil_target, policy.std())
@@ -168,15 +199,17 @@ def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> li
             action=action,
             log_prob=log_prob,
             advantage=advantage,
+            weight=weight,
             mean=mean,
             log_std=data.log_std,
             distil_target=wanted,
         )
-        for obs, action, log_prob, advantage, mean, wanted in zip(
+        for obs, action, log_prob, advantage, weight, mean, wanted in zip(
             data.obs[order].tensor_split(count),
             data.action[order].tensor_split(count),
             data.log_prob[order].tensor_split(count),
             data.advantage[order].tensor_split(count),
+            data.weight[order].tensor_split(count),
             data.mean[order].tensor_split(count),
             targets,
             strict=True,

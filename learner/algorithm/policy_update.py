@@ -14,6 +14,7 @@ from a2s.learner.algorithm.policy_gradient import (
     Improvement,
     PolicyData,
     advantage_over_others,
+    importance,
     improve,
     log_density,
     normalised,
@@ -38,11 +39,12 @@ class PolicyUpdate(NamedTuple):
 
 
 class _Weighed(NamedTuple):
-    """Suggestions ``[N, J, A]``, their log density and their advantage in returns ``[N, J]``."""
+    """Suggestions ``[N, J, A]``; log density, advantage in returns and weight, ``[N, J]`` each."""
 
     action: Tensor
     log_prob: Tensor
     advantage: Tensor
+    weight: Tensor
 
 
 @torch.no_grad()
@@ -97,15 +99,16 @@ def update_policy(
             generator=q_order,
         )
         goal = None
+    weighed = _weigh(batch, seen, evidence, collected, learned, hyper, q_order)
+    advantage, weight = weighed.advantage, weighed.weight
     if hyper.kl_scope == "policy-gradient":
         collected = policy_now(learned, batch.obs)
-    weighed = _weigh(batch, seen, evidence, learned, hyper, q_order)
-    advantage = weighed.advantage
     data = PolicyData(
         obs=seen,
         action=weighed.action,
         log_prob=weighed.log_prob,
-        advantage=normalised(advantage) if hyper.normalise_advantage else advantage,
+        advantage=normalised(advantage, weight) if hyper.normalise_advantage else advantage,
+        weight=weight,
         mean=collected.mean,
         log_std=collected.log_std,
         distil_target=goal,
@@ -143,6 +146,7 @@ def _weigh(
     batch: Batch,
     seen: Tensor,
     evidence: Evidence,
+    collected: PolicyNow,
     learned: Learned,
     hyper: OnPolicyHyper,
     generator: torch.Generator,
@@ -154,9 +158,10 @@ def _weigh(
     if hyper.advantage == "q-v":
         q_value = learned.q_net.combined(learned.q_net(q_input(batch, seen, hyper)))
         advantage = (q_value - learned.value_net(seen)) * learned.returns.std
-    return _Weighed(
-        batch.suggestion.unsqueeze(1), batch.log_prob.unsqueeze(1), advantage.unsqueeze(1)
-    )
+    action = batch.suggestion.unsqueeze(1)
+    log_prob = log_density(collected.mean, collected.log_std, action)
+    weight = importance(log_prob, batch.log_prob.unsqueeze(1), hyper.weight_limit)
+    return _Weighed(action, log_prob, advantage.unsqueeze(1), weight)
 
 
 def _weigh_all(
@@ -168,4 +173,5 @@ def _weigh_all(
     action = suggest(mean, policy.std(), normal)
     q_value = score_in_parts(learned.q_net, seen, as_q_sees(action, hyper.action_mode))
     advantage = advantage_over_others(q_value) * learned.returns.std
-    return _Weighed(action, log_density(mean, log_std, action), advantage)
+    log_prob = log_density(mean, log_std, action)
+    return _Weighed(action, log_prob, advantage, torch.ones_like(advantage))

@@ -10,6 +10,7 @@ from a2s.learner.algorithm.hyperparameters import ActionMode
 from a2s.learner.algorithm.networks import Normaliser, Policy, Q
 from a2s.learner.algorithm.suggestion import (
     as_q_sees,
+    log_preference,
     select_first,
     select_hard,
     select_soft,
@@ -26,7 +27,8 @@ class Choice(NamedTuple):
     Attributes:
         action: In the environment's units and within its bounds, float32 ``[B, A]``.
         suggestion: The chosen one, canonical, before clipping, float32 ``[B, A]``.
-        log_prob: Its log density under the policy (not under the selection), float32 ``[B]``.
+        log_prob: Its log density as executed, float32 ``[B]``: under the policy, and in the mode
+            ``soft`` also by the selection, see `log_preference`.
         q_spread: Largest score less the mean over the K suggestions, in returns, float32 ``[B]``.
     """
 
@@ -109,7 +111,7 @@ class Suggester(nn.Module):
         std = self.policy.std()
         candidates = suggest(self.policy(seen), std, normal)
         q_spread = torch.zeros(len(obs))
-        index = select_first(normal)
+        index, preference = select_first(normal), torch.zeros(len(obs))
         if self.q_net is not None:
             q_value = self.q_net.score(seen, as_q_sees(candidates, self.action_mode))
             q_spread = (q_value.amax(1) - q_value.mean(1)) * self.q_scale
@@ -117,9 +119,10 @@ class Suggester(nn.Module):
                 index = select_hard(q_value)
             else:
                 index = select_soft(q_value, gumbel, self.temperature)
+                preference = log_preference(q_value, index, self.temperature)
         suggestion, noise = take(candidates, index), take(normal, index)
         density = self.policy.log_std.sum() + 0.5 * math.log(2 * math.pi) * noise.shape[1]
-        log_prob = -0.5 * noise.square().sum(1) - density
+        log_prob = -0.5 * noise.square().sum(1) - density + preference
         return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def to_env(self, suggestion: Tensor) -> Tensor:

@@ -3,6 +3,8 @@
 Source: algorithm 1 of the paper, "for k = 1, K action suggestions".
 """
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -66,9 +68,25 @@ def select_soft(q_value: Tensor, gumbel: Tensor, temperature: float) -> Tensor:
         A2SError: A score is not finite.
     """
     _require_finite(q_value)
-    centred = q_value - q_value.mean(1, keepdim=True)
-    spread = centred.square().mean(1, keepdim=True).sqrt()
-    return select_hard(centred / (spread * temperature + SPREAD_EPS) + gumbel)
+    return select_hard(_in_spreads(q_value, temperature) + gumbel)
+
+
+def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor:
+    """How much likelier than a draw from the policy the soft selection made its choice, in logs.
+
+    ``log(K p)``, p the chance of the chosen one given the K. An average over executed suggestions,
+    each weighed by ``1 / (K p)``, is one over the policy: K drawn alike, each counted once.
+
+    Args:
+        q_value: Scores, ``[B, K]``.
+        index: Chosen, ``[B]``.
+        temperature: Above 0.
+
+    Returns:
+        Float32 ``[B]``; 0 where K is 1 or all scores are equal.
+    """
+    chance = _in_spreads(q_value, temperature).log_softmax(1)
+    return chance.gather(1, index.unsqueeze(1)).squeeze(1) + math.log(q_value.shape[1])
 
 
 def select_first(normal: Tensor) -> Tensor:
@@ -89,6 +107,12 @@ def select_first(normal: Tensor) -> Tensor:
 def take(candidate: Tensor, index: Tensor) -> Tensor:
     """Row by row the candidate of that index: ``[B, K, A]``, ``[B]`` to ``[B, A]``."""
     return candidate[torch.arange(len(index), device=index.device), index]
+
+
+def _in_spreads(q_value: Tensor, temperature: float) -> Tensor:
+    centred = q_value - q_value.mean(1, keepdim=True)
+    spread = centred.square().mean(1, keepdim=True).sqrt()
+    return centred / (spread * temperature + SPREAD_EPS)
 
 
 def _require_finite(q_value: Tensor) -> None:

@@ -2,20 +2,33 @@
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
+from a2s.learner import presets
+from a2s.learner.algorithm.body import Body
 from a2s.learner.algorithm.fit import Regression, fit_epochs, fit_threshold, num_chunks
 from a2s.learner.algorithm.optimiser import Adam, FlatParameters
 
 
+def linear(inputs: Tensor, seed: int = 0, members: int = 1) -> Regression:
+    """Build linear networks of three inputs."""
+    generator = torch.Generator().manual_seed(seed)
+    hyper = presets.on_policy("modern", "a2s", {})
+    body = Body((3, 1), members=members, hyper=hyper, output_gain=1.0, generator=generator)
+    return Regression(body=body, inputs=inputs, optimiser=Adam(FlatParameters(body)))
+
+
 def job_of(seed: int = 0, rows: int = 96) -> tuple[Regression, Tensor]:
     """Build a linear network and a target that it can learn."""
-    torch.manual_seed(seed)
-    net = nn.Linear(3, 1)
-    inputs = torch.randn(rows, 3)
+    inputs = torch.randn(rows, 3, generator=torch.Generator().manual_seed(seed))
     target = inputs @ torch.tensor([1.0, -2.0, 0.5]) + 0.7
-    adam = Adam(FlatParameters(net))
-    return Regression(predict=lambda x: net(x)[:, 0], inputs=inputs, optimiser=adam), target
+    return linear(inputs, seed), target
+
+
+def predict(job: Regression) -> Tensor:
+    """What a fitted network says of its inputs, ``[E, N]``."""
+    found, _ = job.body.trace(job.inputs)
+    return found.squeeze(-1)
 
 
 def epochs(
@@ -43,19 +56,21 @@ def test_passes_learn_a_linear_target() -> None:
 def test_loss_is_the_mean_squared_error_of_the_last_pass() -> None:
     """At rate 0 the loss of a pass is that of the batch."""
     job, target = job_of()
-    expected = float((job.predict(job.inputs) - target).square().mean().detach())
+    expected = float((predict(job) - target).square().mean())
     assert epochs([job], target, rate=0.0) == [pytest.approx(expected, rel=1e-5)]
 
 
 def test_ensemble_members_learn_as_if_alone() -> None:
     """The loss is summed over an ensemble, so that members do not share one gradient's size."""
-    target = torch.tensor([1.0, 3.0])
-    job = Regression(
-        predict=lambda _: torch.tensor([[0.0, 0.0], [1.0, 1.0]]),
-        inputs=torch.zeros(2, 1),
-        optimiser=Adam(FlatParameters(nn.Linear(1, 1))),
-    )
-    assert float(job.loss(job.inputs, target)) == 5.0 + 2.0
+    _, target = job_of()
+    pair = linear(job_of()[0].inputs, members=2)
+    alone = [linear(pair.inputs), linear(pair.inputs)]
+    for member, one in enumerate(alone):
+        one.body.weight[0].data.copy_(pair.body.weight[0][member : member + 1])
+    losses = [epochs([one], target, 3)[0] for one in alone]
+    assert epochs([pair], target, 3) == [pytest.approx(sum(losses), rel=1e-5)]
+    for member, one in enumerate(alone):
+        torch.testing.assert_close(predict(pair)[member], predict(one)[0])
 
 
 def test_company_changes_nothing() -> None:
@@ -64,7 +79,7 @@ def test_company_changes_nothing() -> None:
     together, _ = job_of()
     other, _ = job_of(seed=9)
     assert epochs([alone], target)[0] == epochs([together, other], target)[0]
-    assert torch.equal(alone.predict(alone.inputs), together.predict(alone.inputs))
+    assert torch.equal(predict(alone), predict(together))
 
 
 @pytest.mark.parametrize(

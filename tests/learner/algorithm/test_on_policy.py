@@ -174,7 +174,7 @@ def test_recovery_restores_everything_and_learns_nothing() -> None:
         name: value for name, value in best.items() if name in after
     }
     assert (stats.restored_version, stats.policy_epochs, stats.q_fit_steps) == (4, 0, 0)
-    assert stats.learning_rate == pytest.approx(1.5e-4)
+    assert stats.learning_rate == pytest.approx(algorithm.hyper.learning_rate / 2)
     assert stats.recovery is not None
     assert stats.recovery.recover
     assert stats.recovery.r_best == 100.0

@@ -12,11 +12,13 @@ from a2s.learner.algorithm.policy_gradient import (
     PolicyData,
     advantage_over_others,
     entropy,
+    importance,
     improve,
     log_density,
     normalised,
     policy_loss,
 )
+from a2s.learner.algorithm.suggestion import log_preference, select_soft, take
 from a2s.learner.presets import on_policy
 
 
@@ -31,7 +33,7 @@ def test_density_and_entropy_agree_with_the_textbook() -> None:
 def test_score_loss_by_hand() -> None:
     """Equation 4."""
     log_prob, advantage = torch.tensor([[-1.0], [-3.0]]), torch.tensor([[2.0], [-1.0]])
-    loss = policy_loss("score", log_prob, torch.zeros(2, 1), advantage, 0.2)
+    loss = policy_loss("score", log_prob, torch.zeros(2, 1), advantage, torch.ones(2, 1), 0.2)
     assert float(loss) == -0.5  # -(-2 + 3) / 2
 
 
@@ -48,8 +50,11 @@ def test_score_loss_by_hand() -> None:
 def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float) -> None:
     """Only gains are limited."""
     log_prob = torch.tensor([[ratio]]).log()
-    found = policy_loss("clip", log_prob, torch.zeros(1, 1), torch.tensor([[advantage]]), 0.2)
+    worth = torch.tensor([[advantage]])
+    found = policy_loss("clip", log_prob, torch.zeros(1, 1), worth, torch.ones(1, 1), 0.2)
     assert float(found) == pytest.approx(loss)
+    weighed = policy_loss("clip", log_prob, torch.zeros(1, 1), worth, torch.full((1, 1), 3.0), 0.2)
+    assert float(weighed) == pytest.approx(3.0 * loss)
 
 
 @given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
@@ -69,16 +74,52 @@ def test_all_suggestions_gradient_is_that_of_the_expected_q() -> None:
     action = 0.5 * torch.randn(20_000, 10, 1, generator=generator)
     advantage = advantage_over_others(-(action[..., 0] - 1.0).square())
     log_prob = log_density(mean, log_std, action)
-    loss = policy_loss("score", log_prob, log_prob.detach(), advantage, 0.2)
+    weight = torch.ones_like(advantage)
+    loss = policy_loss("score", log_prob, log_prob.detach(), advantage, weight, 0.2)
     (gradient,) = torch.autograd.grad(loss, mean)
     assert float(-gradient.sum()) == pytest.approx(2.0, rel=0.02)
 
 
 def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
-    """Whatever the scale of rewards."""
-    found = normalised(torch.randn(100, 1) * 7 + 3)
+    """Whatever the scale of rewards; a weight of 2 counts a step twice."""
+    advantage = torch.randn(100, 1) * 7 + 3
+    found = normalised(advantage, torch.ones(100, 1))
     assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
     assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
+    twice = torch.cat([torch.full((50, 1), 4 / 3), torch.full((50, 1), 2 / 3)])
+    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150, 1))
+    torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
+
+
+def test_weights_undo_the_selection_up_to_their_limit() -> None:
+    """They have mean 1; without selection, or without a limit, they are 1."""
+    drawn = torch.tensor([[-1.0], [-2.0], [-3.0]])
+    picked = drawn + torch.tensor([[4.0], [0.5], [0.25]]).log()
+    torch.testing.assert_close(
+        importance(drawn, picked, 3.0), torch.tensor([[0.25], [2.0], [3.0]]) / 1.75
+    )
+    assert torch.equal(importance(drawn, drawn, 3.0), torch.ones(3, 1))
+    assert torch.equal(importance(drawn, picked, 0.0), torch.ones(3, 1))
+
+
+@pytest.mark.parametrize("weighed", [True, False])
+def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
+    """Q is wrong: it prefers large actions, all are worth the same 1; d E[1] / d mean = 0."""
+    generator = torch.Generator().manual_seed(0)
+    mean, log_std = torch.zeros(40_000, 1, requires_grad=True), torch.full((1,), 0.5).log()
+    candidate = 0.5 * torch.randn(40_000, 10, 1, generator=generator)
+    uniform = torch.rand(40_000, 10, generator=generator)
+    index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 1.0)
+    action = take(candidate, index).unsqueeze(1)
+    log_prob = log_density(mean, log_std, action)
+    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0).unsqueeze(1)
+    weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
+    loss = policy_loss("clip", log_prob, log_prob.detach(), torch.ones(40_000, 1), weight, 0.2)
+    (gradient,) = torch.autograd.grad(loss, mean)
+    if weighed:
+        assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
+    else:
+        assert float(-gradient.sum()) > 1.0
 
 
 def data_of(policy: Policy, rows: int = 400) -> PolicyData:
@@ -91,7 +132,8 @@ def data_of(policy: Policy, rows: int = 400) -> PolicyData:
         obs=obs,
         action=action,
         log_prob=log_density(mean, policy.log_std.detach(), action),
-        advantage=normalised(action[..., 0]),
+        advantage=normalised(action[..., 0], torch.ones(rows, 1)),
+        weight=torch.ones(rows, 1),
         mean=mean,
         log_std=policy.log_std.detach().clone(),
         distil_target=None,
@@ -133,7 +175,8 @@ def test_std_is_held_at_its_floor() -> None:
         obs=data.obs,
         action=data.action,
         log_prob=data.log_prob,
-        advantage=normalised(narrow),
+        advantage=normalised(narrow, data.weight),
+        weight=data.weight,
         mean=data.mean,
         log_std=data.log_std,
         distil_target=None,

@@ -7,6 +7,8 @@ from torch.distributions import Normal, kl_divergence
 from a2s.learner.algorithm.step_size import StepSize, gaussian_kl
 from a2s.learner.presets import on_policy
 
+RATES = {"learning_rate": 3e-4, "critic_learning_rate": 3e-4}
+
 
 def test_kl_agrees_with_the_textbook() -> None:
     """Against torch's distributions."""
@@ -22,7 +24,8 @@ def test_kl_agrees_with_the_textbook() -> None:
 )
 def test_rate_follows_the_last_divergence(kl: float, factor: float) -> None:
     """Target .01: up below half of it, down above twice."""
-    step_size = StepSize(on_policy("modern", "a2s", {"lr_rule": "kl", "kl_target": 0.01}))
+    hyper = on_policy("modern", "a2s", {**RATES, "lr_rule": "kl", "kl_target": 0.01})
+    step_size = StepSize(hyper)
     step_size.last_kl = kl
     policy, critic = step_size.adapt(0.0)
     assert policy == pytest.approx(3e-4 * factor)
@@ -55,7 +58,7 @@ def test_recovery_cuts_the_rate_and_the_target() -> None:
 
 def test_constant_rate_comes_back_after_a_recovery() -> None:
     """By factors of 1.5, and no further."""
-    step_size = StepSize(on_policy("modern", "a2s", {}))
+    step_size = StepSize(on_policy("modern", "a2s", {**RATES, "lr_rule": "constant"}))
     step_size.after_recovery()
     rates = [step_size.adapt(0.0)[0] for _ in range(3)]
     assert rates == pytest.approx([2.25e-4, 3e-4, 3e-4])
@@ -63,6 +66,6 @@ def test_constant_rate_comes_back_after_a_recovery() -> None:
 
 def test_annealed_rate_ends_at_zero() -> None:
     """In proportion to what is left of the run."""
-    step_size = StepSize(on_policy("modern", "a2s", {"lr_rule": "anneal"}))
+    step_size = StepSize(on_policy("modern", "a2s", {**RATES, "lr_rule": "anneal"}))
     assert step_size.adapt(0.25) == pytest.approx((2.25e-4, 2.25e-4))
     assert step_size.adapt(1.0) == (0.0, 0.0)

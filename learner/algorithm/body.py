@@ -1,0 +1,182 @@
+"""The body that policy, Q and V share, and its gradient, written out.
+
+Autograd would do the same. But the bookkeeping of its graph costs more than the arithmetic of
+networks as small as these, and an update makes hundreds of small steps: so a step is a plain
+sequence of kernels here. ``tests/learner/algorithm/test_body.py`` compares it to autograd.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor, nn
+
+from a2s.learner.algorithm.hyperparameters import Activation, Init, OnPolicyHyper
+
+LAYER_NORM_EPS = 1e-5
+
+ACTIVATIONS: dict[Activation, Callable[[Tensor], Tensor]] = {
+    "tanh": torch.tanh,
+    "silu": F.silu,
+    "relu": torch.relu,
+}
+_aten = torch.ops.aten
+# Gradient of what went in, from that of what came out, what went in, and what came out.
+_DERIVATIVES: dict[Activation, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
+    "tanh": lambda grad, _, out: _aten.tanh_backward(grad, out),
+    "silu": lambda grad, inner, _: _aten.silu_backward(grad, inner),
+    "relu": lambda grad, _, out: _aten.threshold_backward(grad, out, 0),
+}
+
+
+class Layer(NamedTuple):
+    """What one layer saw and made: inputs and, for hidden layers, each stage up to its output.
+
+    Without layer normalisation ``normal``, ``mean`` and ``rstd`` are the sums themselves.
+    """
+
+    seen: Tensor
+    linear: Tensor
+    normal: Tensor
+    mean: Tensor
+    rstd: Tensor
+    inner: Tensor
+    out: Tensor
+
+
+class Body(nn.Module):
+    """Linear, layer normalisation (optional), non-linearity for each hidden layer; then Linear.
+
+    Args:
+        sizes: Units of input, hidden layers and output.
+        members: E, networks evaluated together.
+        hyper: Gives activation, layer_norm and init.
+        output_gain: Gain of the output layer in the init ``orthogonal``.
+        generator: Draws the first weights.
+    """
+
+    def __init__(
+        self,
+        sizes: Sequence[int],
+        *,
+        members: int,
+        hyper: OnPolicyHyper,
+        output_gain: float,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        self.members = members
+        self.layer_norm = hyper.layer_norm
+        self.activation = hyper.activation
+        self._activate = ACTIVATIONS[hyper.activation]
+        self._derive = _DERIVATIVES[hyper.activation]
+        gains = [math.sqrt(2.0)] * (len(sizes) - 2) + [output_gain]
+        weight, bias = [], []
+        for index, (rows, columns, gain) in enumerate(
+            zip(sizes[:-1], sizes[1:], gains, strict=True)
+        ):
+            limit = 1.0 if index < len(sizes) - 2 else 0.1
+            drawn = torch.empty(members, rows, columns)
+            _draw(drawn, hyper.init, limit, gain, generator)
+            weight.append(nn.Parameter(drawn))
+            bias.append(nn.Parameter(torch.zeros(members, 1, columns)))
+        self.weight = nn.ParameterList(weight)
+        self.bias = nn.ParameterList(bias)
+        hidden = sizes[1:-1] if hyper.layer_norm else ()
+        self.gain = nn.ParameterList([nn.Parameter(torch.ones(members, 1, n)) for n in hidden])
+        self.offset = nn.ParameterList([nn.Parameter(torch.zeros(members, 1, n)) for n in hidden])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map inputs ``[N, in]`` to outputs ``[E, N, out]``."""
+        rows = x.expand(self.members, *x.shape)
+        return self.after_first(torch.baddbmm(self.bias[0], rows, self.weight[0]))
+
+    def after_first(self, x: Tensor) -> Tensor:
+        """Go on from the sums of the first layer, ``[E, N, hidden]``, to ``[E, N, out]``."""
+        for index in range(1, len(self.weight)):
+            if self.layer_norm:
+                x = _layer_norm(x, self.gain[index - 1], self.offset[index - 1])
+            x = torch.baddbmm(self.bias[index], self._activate(x), self.weight[index])
+        return x
+
+    @torch.no_grad()
+    def trace(self, x: Tensor) -> tuple[Tensor, list[Layer]]:
+        """Map inputs like `forward`, and keep what `differentiate` needs.
+
+        Args:
+            x: Inputs, ``[N, in]``.
+
+        Returns:
+            Outputs, ``[E, N, out]``, and the layers.
+        """
+        layers = []
+        seen = x.expand(self.members, *x.shape)
+        for index in range(len(self.weight) - 1):
+            linear = torch.baddbmm(self.bias[index], seen, self.weight[index])
+            normal = mean = rstd = inner = linear
+            if self.layer_norm:
+                normal, mean, rstd = torch.native_layer_norm(
+                    linear, linear.shape[-1:], None, None, LAYER_NORM_EPS
+                )
+                inner = torch.addcmul(self.offset[index], normal, self.gain[index])
+            out = self._activate(inner)
+            layers.append(Layer(seen, linear, normal, mean, rstd, inner, out))
+            seen = out
+        out = torch.baddbmm(self.bias[-1], seen, self.weight[-1])
+        layers.append(Layer(seen, out, out, out, out, out, out))
+        return out, layers
+
+    @torch.no_grad()
+    def differentiate(self, layers: list[Layer], grad: Tensor) -> None:
+        """Overwrite the gradients of all parameters.
+
+        Args:
+            layers: Of `trace`.
+            grad: Gradient of the loss with respect to the outputs, ``[E, N, out]``.
+        """
+        for index in reversed(range(len(layers))):
+            seen = layers[index].seen
+            torch.bmm(seen.mT, grad, out=self.weight[index].grad)
+            torch.sum(grad, 1, keepdim=True, out=self.bias[index].grad)
+            if index > 0:
+                below = layers[index - 1]
+                grad = torch.bmm(grad, self.weight[index].mT)
+                grad = self._derive(grad, below.inner, below.out)
+                if self.layer_norm:
+                    grad = self._through_norm(index - 1, below, grad)
+
+    def _through_norm(self, index: int, layer: Layer, grad: Tensor) -> Tensor:
+        torch.sum(grad * layer.normal, 1, keepdim=True, out=self.gain[index].grad)
+        torch.sum(grad, 1, keepdim=True, out=self.offset[index].grad)
+        through: Tensor = _aten.native_layer_norm_backward(
+            grad * self.gain[index],
+            layer.linear,
+            grad.shape[-1:],
+            layer.mean,
+            layer.rstd,
+            None,
+            None,
+            [True, False, False],
+        )[0]
+        return through
+
+
+def _layer_norm(x: Tensor, gain: Tensor, offset: Tensor) -> Tensor:
+    """Normalise ``[E, N, hidden]``; gain and offset are ``[E, 1, hidden]``, one kernel if E = 1."""
+    width = x.shape[-1:]
+    if len(gain) == 1:
+        return F.layer_norm(x, width, gain.view(-1), offset.view(-1), LAYER_NORM_EPS)
+    return torch.addcmul(offset, F.layer_norm(x, width, eps=LAYER_NORM_EPS), gain)
+
+
+def _draw(
+    weight: Tensor, init: Init, limit: float, gain: float, generator: torch.Generator
+) -> None:
+    """Fill a layer's weights ``[E, in, out]`` with their first values."""
+    if init == "uniform":
+        nn.init.uniform_(weight, -limit, limit, generator=generator)
+    else:
+        for member in weight:
+            nn.init.orthogonal_(member, gain=gain, generator=generator)
