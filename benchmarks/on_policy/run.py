@@ -130,7 +130,7 @@ def _commit(path: Path) -> str:
     return file.read_text()
 
 
-def _last_tenth(path: Path, suite: str, env_steps: int) -> float:
+def _last_tenth(path: Path, suite: str, env_steps: int) -> float | None:
     """Average the training returns of the last tenth of a run, and keep all its episodes."""
     text = (path / "episodes.csv").read_text()
     kept = HERE / "episodes" / suite / f"{path.name}.csv.gz"
@@ -138,7 +138,7 @@ def _last_tenth(path: Path, suite: str, env_steps: int) -> float:
     kept.write_bytes(gzip.compress(text.encode(), mtime=0))
     rows = list(csv.DictReader(text.splitlines()))
     returns = [float(r["return"]) for r in rows if int(r["env_steps"]) > 0.9 * env_steps]
-    return round(sum(returns) / len(returns), 1)
+    return round(sum(returns) / len(returns), 1) if returns else None
 
 
 def main() -> None:

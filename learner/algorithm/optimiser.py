@@ -51,9 +51,13 @@ class Adam:
 
     def descend(self, loss: Tensor, learning_rate: float, max_grad_norm: float) -> None:
         """Make one step down a loss, its gradient shortened to a norm unless that is 0."""
-        self._parameters.grad.zero_()
+        self.clear()
         torch.autograd.backward(loss)
         self.step(learning_rate, max_grad_norm)
+
+    def clear(self) -> None:
+        """Set all gradients to 0: autograd adds to them."""
+        self._parameters.grad.zero_()
 
     @torch.no_grad()
     def step(self, learning_rate: float, max_grad_norm: float) -> None:

@@ -163,9 +163,15 @@ def improve(
         passes += 1
         totals.zero_()
         for part in _minibatches(data, count, generator):
-            losses = _losses(policy, part, hyper)
+            mean, layers = policy.body.trace(part.obs)
+            mean.requires_grad_()
+            losses = _losses(mean.squeeze(0), policy, part, hyper)
             loss = losses.sum() - hyper.entropy_weight * entropy(policy.log_std)
-            optimiser.descend(loss, learning_rate, hyper.max_grad_norm)
+            optimiser.clear()
+            torch.autograd.backward(loss)
+            assert mean.grad is not None
+            policy.body.differentiate(layers, mean.grad)
+            optimiser.step(learning_rate, hyper.max_grad_norm)
             policy.hold_floor()
             totals += losses.detach()
         kl = joint_kl(policy, data)
@@ -173,9 +179,8 @@ def improve(
     return Improvement(gradient, distilled, passes, kl)
 
 
-def _losses(policy: Policy, part: PolicyData, hyper: OnPolicyHyper) -> Tensor:
+def _losses(mean: Tensor, policy: Policy, part: PolicyData, hyper: OnPolicyHyper) -> Tensor:
     """Losses of the policy gradient and, weighted, of equation 6, ``[2]``."""
-    mean = policy(part.obs)
     log_prob = log_density(mean, policy.log_std, part.action)
     loss = policy_loss(
         hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
