@@ -54,6 +54,8 @@ class RunConfig:
     """Environments in each actor process."""
     checkpoint_every_updates: int = 20
     """Updates between checkpoints."""
+    keep_policy_every_updates: int = 0
+    """Updates between policies that are kept for good; 0 keeps none."""
     threads: int = 1
     """Threads of torch; small networks are fastest with one."""
 
@@ -68,7 +70,7 @@ class RunConfig:
                 raise UsageError(f"{name}: found {value!r}, expected {hint.__name__}")
         Keys(self.run)
         least = {"total_steps": 1, "seed": 0, "n": 1, "envs": 1}
-        least |= {"checkpoint_every_updates": 1, "threads": 1}
+        least |= {"checkpoint_every_updates": 1, "keep_policy_every_updates": 0, "threads": 1}
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise UsageError(f"{name}: found {getattr(self, name)}, expected at least {low}")

@@ -132,6 +132,8 @@ class Learner:
             self._write(stats)
             if self._algorithm.updates % self._run.checkpoint_every_updates == 0:
                 self._checkpoint()
+            if self._is_kept():
+                self._directory.policy(f"policies/{self._env_steps:09d}", self._graph)
         self._checkpoint()
         self._bus.close()
         return self._finish()
@@ -171,6 +173,10 @@ class Learner:
             return
         self._best_recent = recent
         self._directory.policy("best", self._graph)
+
+    def _is_kept(self) -> bool:
+        every = self._run.keep_policy_every_updates
+        return every > 0 and self._algorithm.updates % every == 0
 
     def _recover(self, stats: UpdateStats) -> None:
         """Broadcast and write down a recovery; the restored networks are published next."""

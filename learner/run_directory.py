@@ -131,7 +131,7 @@ class RunDirectory:
         self._events.write(json.dumps(stamp | details) + "\n")
 
     def policy(self, place: str, graph: bytes) -> None:
-        """Write ``latest/policy.onnx`` or ``best/policy.onnx``."""
+        """Write ``PLACE/policy.onnx``, for example ``latest/policy.onnx``."""
         write_atomically(self.path / place / "policy.onnx", graph)
 
     def summary(self, summary: Mapping[str, Any]) -> None:

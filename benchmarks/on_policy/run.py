@@ -17,10 +17,12 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 MODES = ("mean", "best-of-k")
+PENDULUM = "InvertedPendulum-v5"
 MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
 COLUMNS = (
     "suite", "env", "label", "seed", "env_steps", "commit", "options", "mean", "mean_std",
-    "best_of_k", "best_of_k_std", "return_last_tenth", "return_best", "recoveries", "wall_s",
+    "best_of_k", "best_of_k_std", "first_1000", "return_last_tenth", "return_best", "recoveries",
+    "wall_s",
 )  # fmt: skip
 
 LABELS: dict[str, tuple[str, ...]] = {
@@ -47,8 +49,8 @@ class Suite:
 
 
 SUITES = {
-    "pendulum": Suite(("InvertedPendulum-v5",), ("modern",), (0, 1, 2, 3, 4), 20_000),
-    "pendulum-8k": Suite(("InvertedPendulum-v5",), ("modern",), (0, 1, 2, 3, 4), 8_000),
+    "pendulum": Suite((PENDULUM,), ("modern",), (0, 1, 2, 3, 4), 20_000),
+    "pendulum-8k": Suite((PENDULUM,), ("modern",), (0, 1, 2, 3, 4), 8_000),
     "hopper-300k": Suite(("Hopper-v5",), ("modern",), (0, 1, 2), 300_000),
     "million": Suite(MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000),
     "ablation": Suite(
@@ -67,6 +69,8 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
     options = (
         "--env", env, "--total-steps", str(steps), "--seed", str(seed), "--n", "1", *LABELS[label],
     )  # fmt: skip
+    if env == PENDULUM:
+        options += ("--keep-policy-every", "1")
     if "--envs" not in options:
         options += ("--envs", "16")
     summary_file = path / "summary.json"
@@ -104,11 +108,21 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         "mean_std": round(results["mean"]["std"], 1),
         "best_of_k": round(results["best-of-k"]["mean"], 1),
         "best_of_k_std": round(results["best-of-k"]["std"], 1),
+        "first_1000": _first_solved(path),
         "return_last_tenth": _last_tenth(path, suite, summary["env_steps"]),
         "return_best": round(summary["return_best"], 1),
         "recoveries": summary["recoveries"],
         "wall_s": round(summary["wall_s"]),
     }
+
+
+def _first_solved(path: Path) -> int | None:
+    """Steps after which the mean action first reached 1000 in all of 10 fresh episodes."""
+    for policy in sorted(path.glob("policies/*/policy.onnx")):
+        said = _a2s("evaluate", str(policy), "--episodes", "10", "--seed", "1000", "--json")
+        if json.loads(said)["mean"] == 1000.0:
+            return int(policy.parent.name)
+    return None
 
 
 def _a2s(*arguments: str) -> str:

@@ -61,6 +61,7 @@ def learner(
     n: options.N = None,
     envs: options.Envs = None,
     threads: options.Threads = None,
+    keep_policy_every: options.KeepPolicyEvery = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = _LOOPBACK,
@@ -74,6 +75,7 @@ def learner(
         "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
         "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads,
+        "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip
     configuration, path = configure(given, settings, config, run_dir, resume=resume)
     if print_config:
@@ -146,6 +148,7 @@ def train(
     n: options.N = None,
     envs: options.Envs = None,
     threads: options.Threads = None,
+    keep_policy_every: options.KeepPolicyEvery = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
     episodes: options.Episodes = 10,
@@ -161,6 +164,7 @@ def train(
         "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
         "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads,
+        "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip
     configuration, path = configure(
         given, settings, config, run_dir, resume=resume, defaults={"n": 2}

@@ -173,6 +173,17 @@ Envs = Annotated[
         show_default="8",
     ),
 ]
+KeepPolicyEvery = Annotated[
+    int | None,
+    _option(
+        "--keep-policy-every",
+        env="A2S_KEEP_POLICY_EVERY",
+        help="Keep the policy after every so many updates, in policies/; 0 keeps none.",
+        panel=_RUN,
+        min=0,
+        show_default="0",
+    ),
+]
 Threads = Annotated[
     int | None,
     _option(
