@@ -53,7 +53,6 @@ _INTEGERS: dict[str, tuple[int, float]] = {
 # Closed ranges of numbers; infinity is a value only where it is the upper end.
 _NUMBERS: dict[str, tuple[float, float]] = {
     "temperature": (1e-6, 1e6),
-    "plain_fraction": (0.0, 1.0),
     "warm_up_explained_variance": (-1e6, 1.0),
     "batch_growth": (1.0, 1e6),
     "gamma": (1e-6, 1.0),
@@ -105,8 +104,6 @@ class OnPolicyHyper:
     """When Q may choose: at once, after its first fit, or once it explains fresh returns."""
     warm_up_explained_variance: float
     """What Q must exceed on a batch it was not fitted to, at most 1."""
-    plain_fraction: float
-    """Fraction of steps, 0..1, that execute the policy's first suggestion whatever Q says."""
 
     batch_steps: int
     """Steps in one batch, at least."""
@@ -266,6 +263,11 @@ class OnPolicyHyper:
         _check_most("batch_steps_first", self.batch_steps_first, "batch_steps", self.batch_steps)
         _check_most("std_floor", self.std_floor, "std", self.std)
         _check_most("lr_min", self.lr_min, "lr_max", self.lr_max)
+        if self.whole_episodes != (self.min_episodes > 0):
+            expected = "at least 1" if self.whole_episodes else "0"
+            found = str(self.whole_episodes).lower()
+            expected += f" while whole_episodes is {found}"
+            _refuse("min_episodes", self.min_episodes, expected)
 
     @property
     def uses_q(self) -> bool:

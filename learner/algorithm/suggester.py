@@ -48,7 +48,6 @@ class Suggester(nn.Module):
     behaviour                                           ``normal`` and ``gumbel`` as drawn
     mean action                                         ``normal = 0``
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
-    a plain step (``plain_fraction`` of training)       ``normal[b, k] = normal[b, 0]`` for all k
     ==================================================  ==========================================
 
     Args:

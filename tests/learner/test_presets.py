@@ -77,6 +77,11 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected integers such as 64,64"),
         ({"q_sizes": "64,0"}, "q_sizes: found 0, expected an integer from 1 to 65536"),
         ({"distil_top": 11}, r"distil_top: found 11, expected at most distil_suggestions \(10\)"),
+        ({"min_episodes": 3}, "min_episodes: found 3, expected 0 while whole_episodes is false"),
+        (
+            {"whole_episodes": True},
+            "min_episodes: found 0, expected at least 1 while whole_episodes is true",
+        ),
         ({"gama": 1.0}, r"unknown hyperparameter 'gama' \(did you mean 'gamma'\?\)"),
     ],
 )
