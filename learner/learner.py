@@ -1,6 +1,5 @@
 """The learner's loop: gather, update, recover, publish, record, checkpoint."""
 
-import hashlib
 import logging
 import math
 import time
@@ -21,14 +20,15 @@ from a2s.learner.export import export
 from a2s.learner.gather import Gather, Terms
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
-from a2s.learner.progress import Progress, View
+from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
+from a2s.learner.report import Report, Standing
 from a2s.learner.run_directory import RunDirectory
 from a2s.learner.service import Service
 from a2s.learner.weights import Publisher
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import RecoveryEvent, RunStatus, Segment, Spaces
+from a2s.protocol.messages import RecoveryEvent, Segment, Spaces
 from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)
@@ -72,26 +72,23 @@ class Learner:
         self._run, self._hyper = configuration.run, configuration.hyper
         self._metrics, self._view = metrics, view
         torch.set_num_threads(self._run.threads)
-        self._began_s, self._worked_s = time.monotonic(), 0.0
-        self._directory = RunDirectory(path, UPDATE_COLUMNS, self._wall_s)
+        self._at = Standing()
+        self._directory = RunDirectory(path, UPDATE_COLUMNS, self._at.wall_s)
         self._ledger = Ledger(path / "segments.log")
         self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, self._hyper, self._run.seed)
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._record = EpisodeRecord()
-        self._version = self._epoch = self._gradient_steps = 0
-        self._best_recent: float | None = None
-        self._waiting_for = ""
         self._graph = b""
         self._bus = bus
         if resume:
             self._resume()
-        self._generation = self._directory.count_start()
-        self._steps_at_start = self._env_steps = self._ledger.accepted_steps
-        metrics.env_steps.inc(self._env_steps)
+        self._at.generation = self._directory.count_start()
+        self._at.steps_at_start = self._at.env_steps = self._ledger.accepted_steps
+        metrics.env_steps.inc(self._at.env_steps)
         keys = Keys(self._run.run)
         terms = Terms(
             run=self._run.run,
-            generation=self._generation,
+            generation=self._at.generation,
             env_id=self._run.env,
             spaces=spaces,
             num_envs=self._run.envs,
@@ -102,7 +99,8 @@ class Learner:
         )
         self._gather = Gather(terms, self._ledger, metrics, self._directory.event)
         self._publisher = Publisher(bus, keys)
-        self._service = Service(bus, keys, self._gather, self._status)
+        self._report = Report(self._run, self._at, self._record, self._gather)
+        self._service = Service(bus, keys, self._gather, self._report.status)
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Learn until ``total_steps``, or until stopped.
@@ -111,18 +109,18 @@ class Learner:
             The summary, as in ``summary.json``.
         """
         self._metrics.target_steps.set(self._run.total_steps)
-        self._metrics.generation.set(self._generation)
-        self._directory.event("start", generation=self._generation, env_steps=self._env_steps)
+        self._metrics.generation.set(self._at.generation)
+        self._directory.event("start", generation=self._at.generation, env_steps=self._at.env_steps)
         self._service.open()
 
         def proceed(waiting_for: str) -> bool:
-            self._waiting_for = waiting_for
+            self._at.waiting_for = waiting_for
             self._show()
             return not stopped()
 
         self._publish()
         self._checkpoint()
-        while self._env_steps < self._run.total_steps:
+        while self._at.env_steps < self._run.total_steps:
             batch = self._next_batch(proceed)
             if not batch:
                 break
@@ -130,10 +128,10 @@ class Learner:
             self._recover(stats)
             self._publish()
             self._write(stats)
-            if self._algorithm.updates % self._run.checkpoint_every_updates == 0:
+            if self._at.updates % self._run.checkpoint_every_updates == 0:
                 self._checkpoint()
             if self._is_kept():
-                self._directory.policy(f"policies/{self._env_steps:09d}", self._graph)
+                self._directory.policy(f"policies/{self._at.env_steps:09d}", self._graph)
         self._checkpoint()
         self._bus.close()
         return self._finish()
@@ -142,15 +140,15 @@ class Learner:
         begin_s = time.monotonic()
         batch = self._gather.next_batch(proceed)
         self._metrics.starved.inc(time.monotonic() - begin_s)
-        self._waiting_for = ""
+        self._at.waiting_for = ""
         for slot, segment in batch:
-            self._env_steps += segment.num_steps
+            self._at.env_steps += segment.num_steps
             if segment.ends_episode:
                 self._record.add(segment.episode_return, segment.episode_length)
                 self._metrics.episodes.inc()
                 self._directory.episode(
                     **{
-                        "env_steps": self._env_steps,
+                        "env_steps": self._at.env_steps,
                         "actor": slot,
                         "weights_version": segment.weights_version,
                         "return": f"{segment.episode_return:.9g}",
@@ -163,15 +161,17 @@ class Learner:
     def _update(self, segments: list[Segment]) -> UpdateStats:
         self._keep_best()
         with self._metrics.update_seconds.labels(phase="compute").time():
-            progress = min(1.0, self._env_steps / self._run.total_steps)
-            return self._algorithm.update(to_batch(segments), progress)
+            progress = min(1.0, self._at.env_steps / self._run.total_steps)
+            stats = self._algorithm.update(to_batch(segments), progress)
+        self._at.updates = self._algorithm.updates
+        return stats
 
     def _keep_best(self) -> None:
         """Keep the graph that made this batch, if its recent returns are the best so far."""
         recent = self._record.recent_return
-        if recent is None or (self._best_recent is not None and recent <= self._best_recent):
+        if recent is None or (self._at.best_recent is not None and recent <= self._at.best_recent):
             return
-        self._best_recent = recent
+        self._at.best_recent = recent
         self._directory.policy("best", self._graph)
 
     def _is_kept(self) -> bool:
@@ -182,19 +182,19 @@ class Learner:
         """Broadcast and write down a recovery; the restored networks are published next."""
         if not stats.recovered:
             return
-        self._epoch += 1
+        self._at.epoch += 1
         decision = stats.recovery
         assert decision is not None
         event = RecoveryEvent(
-            id=self._epoch,
-            generation=self._generation,
-            epoch=self._epoch,
+            id=self._at.epoch,
+            generation=self._at.generation,
+            epoch=self._at.epoch,
             draw=decision.draw,
             probability=decision.probability,
             r=_number(decision.r),
             r_best=_number(decision.r_best),
             restored_version=stats.restored_version,
-            weights_version=self._version + 1,
+            weights_version=self._at.version + 1,
         )
         self._directory.event("recovery", **asdict(event))
         self._service.announce_recovery(event)
@@ -202,26 +202,26 @@ class Learner:
 
     def _publish(self) -> None:
         """Export the networks; while the run goes on, serve and announce them."""
-        self._version += 1
+        self._at.version += 1
         with self._metrics.update_seconds.labels(phase="publish").time():
             metadata = {"env": self._run.env, "algo": self._run.algo}
             suggester = self._algorithm.suggester(*self._bounds)
-            self._graph = export(suggester, self._version, metadata)
-            if self._env_steps < self._run.total_steps:
+            self._graph = export(suggester, self._at.version, metadata)
+            if self._at.env_steps < self._run.total_steps:
                 batch_steps, quota = self._quota()
                 notice = self._publisher.prepare(
                     self._graph,
-                    generation=self._generation,
-                    epoch=self._epoch,
-                    version=self._version,
+                    generation=self._at.generation,
+                    epoch=self._at.epoch,
+                    version=self._at.version,
                     quota=quota,
                 )
                 self._gather.publish(notice, batch_steps)
                 self._publisher.announce()
         self._metrics.published.inc()
-        self._metrics.weights_version.set(self._version)
+        self._metrics.weights_version.set(self._at.version)
         self._metrics.weights_bytes.set(len(self._graph))
-        self._metrics.epoch.set(self._epoch)
+        self._metrics.epoch.set(self._at.epoch)
 
     def _quota(self) -> tuple[int, tuple[int, int]]:
         """Size of the next batch, and each environment's share of steps and whole episodes."""
@@ -237,21 +237,21 @@ class Learner:
         decision: RecoveryDecision | None = stats.recovery
         tested = {f"recovery_{n}": getattr(decision, n, None) for n in _TESTED}
         position = (
-            self._algorithm.updates, round(self._wall_s(), 3), self._env_steps,
-            self._version, self._epoch,
+            self._algorithm.updates, round(self._at.wall_s(), 3), self._at.env_steps,
+            self._at.version, self._at.epoch,
         )  # fmt: skip
         self._directory.update(row | tested | dict(zip(_POSITION, position, strict=True)))
-        self._show(stats)
+        self._show(stats.kl)
 
     def _checkpoint(self) -> None:
         self._directory.policy("latest", self._graph)
         tensors, scalars = self._algorithm.state()
         state = {
             "algorithm": scalars,
-            "version": self._version,
-            "epoch": self._epoch,
-            "best_recent": self._best_recent,
-            "wall_s": self._wall_s(),
+            "version": self._at.version,
+            "epoch": self._at.epoch,
+            "best_recent": self._at.best_recent,
+            "wall_s": self._at.wall_s(),
         }
         try:
             with self._metrics.checkpoint_seconds.time():
@@ -267,84 +267,26 @@ class Learner:
     def _resume(self) -> None:
         tensors, state = checkpoint.load(self._directory.path / "checkpoints")
         self._algorithm.load(tensors, state["algorithm"])
-        self._version, self._epoch = state["version"], state["epoch"]
-        self._best_recent, self._worked_s = state["best_recent"], state["wall_s"]
-        self._directory.keep_updates(self._algorithm.updates)
+        self._at.version, self._at.epoch = state["version"], state["epoch"]
+        self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
+        self._at.updates = self._algorithm.updates
+        self._directory.keep_updates(self._at.updates)
         for episode_return, length in self._directory.read_episodes():
             self._record.add(episode_return, length)
 
     def _finish(self) -> dict[str, Any]:
-        summary = {
-            "run_dir": str(self._directory.path),
-            "env": self._run.env,
-            "variant": self._run.variant,
-            "algo": self._run.algo,
-            "preset": self._run.preset,
-            "seed": self._run.seed,
-            "env_steps": self._env_steps,
-            "episodes": self._record.count,
-            "updates": self._algorithm.updates,
-            "wall_s": round(self._wall_s(), 3),
-            "env_steps_per_s": round(self._steps_per_s(), 1),
-            "return_mean_last_10": self._record.recent_return,
-            "return_best": self._record.best,
-            "recoveries": self._epoch,
-            "segments": asdict(self._gather.accounts()),
-            "weights_sha256": hashlib.sha256(self._graph).hexdigest(),
-            "finished": self._env_steps >= self._run.total_steps,
-        }
-        self._directory.event("end", env_steps=self._env_steps)
+        summary = self._report.summary(self._directory.path, self._graph)
+        self._directory.event("end", env_steps=self._at.env_steps)
         self._directory.summary(summary)
         self._directory.close()
         self._ledger.close()
         return summary
 
-    def _wall_s(self) -> float:
-        return self._worked_s + time.monotonic() - self._began_s
-
-    def _steps_per_s(self) -> float:
-        made = self._env_steps - self._steps_at_start
-        return made / max(time.monotonic() - self._began_s, 1e-9)
-
-    def _show(self, stats: UpdateStats | None = None) -> None:
-        members = self._gather.members()
-        self._metrics.actors.set(len(members))
+    def _show(self, kl: float | None = None) -> None:
+        progress = self._report.progress(kl)
+        self._metrics.actors.set(progress.actors)
         self._metrics.queue.set(self._gather.pending_steps())
-        self._view.show(
-            Progress(
-                env_steps=self._env_steps,
-                total_steps=self._run.total_steps,
-                episodes=self._record.count,
-                return_mean=self._record.mean_return,
-                return_best=self._record.best,
-                updates=self._algorithm.updates,
-                weights_version=self._version,
-                recoveries=self._epoch,
-                actors=len(members),
-                num_envs=sum(member.num_envs for member in members),
-                waiting_for=self._waiting_for,
-                wall_s=self._wall_s(),
-                kl=None if stats is None else stats.kl,
-            )
-        )
-
-    def _status(self) -> RunStatus:
-        members = self._gather.members()
-        return RunStatus(
-            run=self._run.run,
-            generation=self._generation,
-            env_id=self._run.env,
-            env_steps=self._env_steps,
-            total_steps=self._run.total_steps,
-            episodes=self._record.count,
-            updates=self._algorithm.updates,
-            weights_version=self._version,
-            epoch=self._epoch,
-            return_mean=_number(self._record.mean_return),
-            env_steps_per_s=self._steps_per_s(),
-            waiting_for=self._waiting_for,
-            actors=tuple(member.status for member in members if member.status is not None),
-        )
+        self._view.show(progress)
 
 
 def _number(value: float | None) -> float:
