@@ -232,7 +232,7 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
         UsageError: A preset, algorithm or name is unknown, or a value is out of range.
     """
     values = {name: choice.value for name, choice in choices(preset, algo).items()}
-    fixed = _A2C if algo == "a2c" else {}
+    fixed = {name: _A2C[name] for name in ("suggestions", "distil")} if algo == "a2c" else {}
     for name, given in overrides.items():
         if name not in _FIELDS:
             raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, _FIELDS)}")
@@ -241,6 +241,11 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
             raise UsageError(f"{name}: found {value}, expected {fixed[name].value} with algo a2c")
         values[name] = value
     return OnPolicyHyper(**values)  # type: ignore[arg-type]
+
+
+def recovery_of(preset: str, *, on: bool) -> object:
+    """The rule of recovery that a preset has for a2s, for a2c with the stabiliser; or ``off``."""
+    return choices(preset, "a2s")["recovery"].value if on else "off"
 
 
 def parse(name: str, given: object) -> object:

@@ -96,6 +96,20 @@ def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
     assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "rule"),
+    [
+        ([], "invariant"),
+        (["--no-recovery"], "off"),
+        (["--algo", "a2c"], "off"),
+        (["--algo", "a2c", "--recovery"], "invariant"),
+        (["--algo", "a2c", "--preset", "authors", "--recovery"], "authors"),
+    ],
+)
+def test_recovery_is_the_rule_of_the_preset_or_off(arguments: list[str], rule: str) -> None:
+    assert f'\nrecovery = "{rule}"' in _print_config(*arguments)
+
+
 def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:
     file = tmp_path / "printed.toml"
     file.write_text(_print_config("--preset", "authors", "--set", "suggestions=3"))

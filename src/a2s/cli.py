@@ -55,6 +55,7 @@ def learner(
     algo: options.Algo = None,
     preset: options.Preset = None,
     suggestions: options.Suggestions = None,
+    recovery: options.Recovery = None,
     settings: options.Set = None,
     lockstep: options.Lockstep = None,
     print_config: options.PrintConfig = False,
@@ -73,7 +74,8 @@ def learner(
 
     given = {
         "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
-        "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
+        "algo": algo, "preset": preset, "suggestions": suggestions, "recovery": recovery,
+        "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads,
         "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip
@@ -142,6 +144,7 @@ def train(
     algo: options.Algo = None,
     preset: options.Preset = None,
     suggestions: options.Suggestions = None,
+    recovery: options.Recovery = None,
     settings: options.Set = None,
     lockstep: options.Lockstep = None,
     print_config: options.PrintConfig = False,
@@ -162,7 +165,8 @@ def train(
 
     given = {
         "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
-        "algo": algo, "preset": preset, "suggestions": suggestions, "lockstep": lockstep,
+        "algo": algo, "preset": preset, "suggestions": suggestions, "recovery": recovery,
+        "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads,
         "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip

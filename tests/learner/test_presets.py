@@ -105,6 +105,11 @@ def test_a2c_refuses_several_suggestions() -> None:
         on_policy("modern", "a2c", {"suggestions": "4"})
 
 
+def test_a2c_may_have_the_stabiliser() -> None:
+    """Section 6 of the paper: most of them are compatible with A2C."""
+    assert on_policy("modern", "a2c", {"recovery": "invariant"}).recovery == "invariant"
+
+
 def test_values_are_parsed_alike_from_text_and_file() -> None:
     """Every value of a preset survives being printed."""
     for name, choice in choices("modern", "a2s").items():

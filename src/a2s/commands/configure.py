@@ -7,6 +7,7 @@ from typing import Any
 
 from a2s.learner import configuration, run_directory
 from a2s.learner.configuration import Configuration
+from a2s.learner.presets import recovery_of
 
 ROOT = Path("runs")
 
@@ -24,7 +25,7 @@ def configure(
 
     Args:
         options: Of the command line; ``None`` where not given. ``lockstep`` stands for the clock,
-            ``suggestions`` for the hyperparameter.
+            ``suggestions`` and ``recovery`` for the hyperparameters.
         settings: ``KEY=VALUE`` hyperparameters.
         config: A configuration file; a resumed run has its own.
         run_dir: Directory of the run, if the user names one.
@@ -44,6 +45,9 @@ def configure(
         path = run_directory.choose(ROOT, given.get("run", "default"), run_dir, resume=True)
         config = config or path / run_directory.CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
+    if "recovery" in given:
+        preset = given.get("preset", run_table.get("preset", "modern"))
+        hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))
     if "preset" in given or "algo" in given:
         # A complete file states every value; another preset or algorithm means its own values.
         same = all(run_table.get(name, given[name]) == given[name]

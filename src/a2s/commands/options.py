@@ -128,6 +128,16 @@ Suggestions = Annotated[
         show_default="from the preset",
     ),
 ]
+Recovery = Annotated[
+    bool | None,
+    _option(
+        "--recovery/--no-recovery",
+        env="A2S_RECOVERY",
+        help="Go back to the best networks when returns fall (equation 5).",
+        panel=_ALGORITHM,
+        show_default="on for a2s, off for a2c",
+    ),
+]
 Set = Annotated[
     list[str] | None,
     _option(
