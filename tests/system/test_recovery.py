@@ -48,7 +48,6 @@ def test_recoveries_are_journaled_followed_and_replayable(
         bus.subscribe(Keys("default").recovery, lambda p: heard.append(decode(p, RecoveryEvent)))
         actor = start("actor", "--n", "2", "--connect", endpoint, "--metrics-port", "0")
         assert learner.process.wait(timeout=90) == 0, learner.text()
-    seen = scrape(metrics_port(actor))
 
     journal = [json.loads(x) for x in (path / "events.jsonl").read_text().splitlines()]
     recoveries = [event for event in journal if event["event"] == "recovery"]
@@ -60,9 +59,11 @@ def test_recoveries_are_journaled_followed_and_replayable(
     # Whoever acted after the last recovery has followed it; the last update may be one itself.
     updates = _table(path / "updates.csv")
     followed = len(recoveries) - int(updates[-1]["recovered"])
+    port = metrics_port(actor)
     for worker in ("0", "1"):
-        assert seen[f'a2s_actor_epoch{{worker="{worker}"}}'] == followed
-        assert seen[f'a2s_actor_recovery_events_total{{worker="{worker}"}}'] == followed
+        name = f'a2s_actor_recovery_events_total{{worker="{worker}"}}'
+        wait_for(lambda name=name: scrape(port)[name] == followed, f"{followed} in {name}")
+        assert scrape(port)[f'a2s_actor_epoch{{worker="{worker}"}}'] == followed
 
     rule = Recovery(rule="invariant", bias=0.0, statistic="mean", episodes=0)
     episodes = _table(path / "episodes.csv")

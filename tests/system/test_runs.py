@@ -45,7 +45,8 @@ def test_two_terminals_in_either_order(
     assert summary["finished"]
     _assert_balance(summary["segments"])
     assert actor.process.poll() is None  # actors outlive the learner
-    assert scrape(metrics_port(actor))['a2s_actor_joins_total{worker="0"}'] == 1
+    port = metrics_port(actor)
+    wait_for(lambda: scrape(port)['a2s_actor_joins_total{worker="0"}'] == 1, "the join to be seen")
     workers = actor.workers()
     assert actor.end(signal.SIGINT) == 130
     assert not any(is_alive(worker.pid) for worker in workers)
