@@ -43,6 +43,7 @@ def test_two_terminals_in_either_order(
     summary = _summary(tmp_path / "runs" / "default")
     assert summary["env_steps"] >= 2000
     assert summary["finished"]
+    assert f"{summary['env_steps']:,} steps in" in learner.text()
     _assert_balance(summary["segments"])
     assert actor.process.poll() is None  # actors outlive the learner
     port = metrics_port(actor)

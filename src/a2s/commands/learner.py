@@ -66,6 +66,13 @@ def learn(
                 resume=resume,
             )
             summary = learner.run(stop.is_set)
+        out.write(
+            f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
+            f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
+            f"{summary['recoveries']} recoveries\n"
+            f"policy      {path / 'latest' / 'policy.onnx'}\n"
+        )
+        out.flush()
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")
     return EXIT_INTERRUPTED if stop.interrupted else 0

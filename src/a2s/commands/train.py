@@ -142,11 +142,6 @@ def _evaluate(path: Path, evaluation: dict[str, Any], out: IO[str]) -> dict[str,
 
 
 def _show(summary: dict[str, Any], path: Path, out: IO[str]) -> None:
-    out.write(
-        f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
-        f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
-        f"{summary['recoveries']} recoveries\n"
-    )
     result = summary.get("evaluation")
     if result:
         out.write(
@@ -158,11 +153,7 @@ def _show(summary: dict[str, Any], path: Path, out: IO[str]) -> None:
         out.write(f"curve       {path / 'curves.png'}\n")
     except UsageError as error:
         out.write(f"no curve: {error}\n")
-    out.write(
-        f"policy      {path / 'latest' / 'policy.onnx'}\n"
-        f"everything  {path}\n"
-        f"again       a2s evaluate {path} --episodes 10\n"
-    )
+    out.write(f"everything  {path}\nagain       a2s evaluate {path} --episodes 10\n")
     out.flush()
 
 
