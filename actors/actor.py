@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 from a2s.actors.environment import Environment
 from a2s.actors.metrics import Tally
@@ -93,25 +93,30 @@ class Actor:
 
     def _play(self, task: Welcome) -> None:
         num_envs = self._num_envs or task.num_envs
-        environments = [Environment(task.env_id) for _ in range(num_envs)]
-        spaces = environments[0].spaces
-        welcome = self._join(task.env_id, num_envs, spaces)
+        with ExitStack() as stack:
+            environments = [
+                stack.enter_context(closing(Environment(task.env_id))) for _ in range(num_envs)
+            ]
+            self._play_in(environments, task.env_id)
+
+    def _play_in(self, environments: list[Environment], env_id: str) -> None:
+        num_envs, spaces = len(environments), environments[0].spaces
+        welcome = self._join(env_id, num_envs, spaces)
         suggester: Suggester | None = None
-        with closing(_All(environments)):
-            while welcome is not None:
-                if self._rollout is None:
-                    self._rollout = Rollout(self._name, environments, welcome.seed, self._tally)
-                known = self._notice if welcome.clock == "lockstep" else None
-                notice = self._newest.other_than(known, self._wait_for_weights)
-                if notice is None:
-                    return
-                if notice.generation != welcome.generation:
-                    welcome = self._join(task.env_id, num_envs, spaces)
-                    continue
-                if self._notice is None or notice.identity != self._notice.identity:
-                    suggester = self._pull() or suggester
-                if suggester is not None and self._notice is not None:
-                    self._send(suggester, self._notice, self._rollout)
+        while welcome is not None:
+            if self._rollout is None:
+                self._rollout = Rollout(self._name, environments, welcome.seed, self._tally)
+            known = self._notice if welcome.clock == "lockstep" else None
+            notice = self._newest.other_than(known, self._wait_for_weights)
+            if notice is None:
+                return
+            if notice.generation != welcome.generation:
+                welcome = self._join(env_id, num_envs, spaces)
+                continue
+            if self._notice is None or notice.identity != self._notice.identity:
+                suggester = self._pull() or suggester
+            if suggester is not None and self._notice is not None:
+                self._send(suggester, self._notice, self._rollout)
 
     def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:
         def interrupted() -> bool:
@@ -136,9 +141,12 @@ class Actor:
         return welcome
 
     def _join_again(self) -> None:
-        """The connection was broken for so long that the learner took this actor off its roster."""
+        """Say hello as when joining: the learner took this actor off its roster.
+
+        Once, on the sender's thread; when it does not help the segment is unknown again.
+        """
         if self._joining is not None:
-            self._hello(self._joining)
+            self._bus.ask(self._keys.hello, encode(self._joining), _ASK_TIMEOUT_S)
 
     def _hello(self, hello: Hello) -> Welcome | None:
         payload = encode(hello)
@@ -210,12 +218,3 @@ class Actor:
                 "waiting for %s for %.0f s; is `a2s learner` running?",
                 what, now_s - self._waiting_since_s,
             )  # fmt: skip
-
-
-class _All:
-    def __init__(self, environments: list[Environment]) -> None:
-        self._environments = environments
-
-    def close(self) -> None:
-        for environment in self._environments:
-            environment.close()

@@ -64,10 +64,6 @@ class Supervisor:
         finally:
             self._stop()
 
-    def pids(self) -> list[int]:
-        """Process ids of the living workers."""
-        return [w.process.pid for w in self._workers if w.process is not None]
-
     def _look_after(self, index: int, worker: _Worker) -> None:
         now_s = time.monotonic()
         if worker.process is None:

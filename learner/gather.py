@@ -264,13 +264,15 @@ class Gather:
         assert self._notice is not None
         self._pending.append((member.slot, segment))
         self._pending_steps += segment.num_steps
+        may_complete = self._terms.clock == "async"
         if segment.weights_version == self._notice.version:
             member.deliver(segment)
             if all(p.meets(self._notice) for p in member.progress):
                 member.done_s = time.monotonic()
+                may_complete = True
         self._metrics.policy_lag.observe(self._notice.version - segment.weights_version)
         self._metrics.env_steps.inc(segment.num_steps)
-        if not self._missing():
+        if may_complete and not self._missing():
             self._changed.notify_all()
 
     def _ack(self, verdict: Verdict, reason: str, segment: Segment | None) -> Ack:

@@ -23,7 +23,7 @@ from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Report, Standing
-from a2s.learner.run_directory import RunDirectory
+from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.learner.service import Service
 from a2s.learner.weights import Publisher
 from a2s.protocol.errors import RunDirectoryError
@@ -277,7 +277,7 @@ class Learner:
     def _finish(self) -> dict[str, Any]:
         summary = self._report.summary(self._directory.path, self._graph)
         self._directory.event("end", env_steps=self._at.env_steps)
-        self._directory.summary(summary)
+        write_summary(self._directory.path, summary)
         self._directory.close()
         self._ledger.close()
         return summary

@@ -33,6 +33,11 @@ def write_atomically(path: Path, data: bytes) -> None:
     partial.rename(path)
 
 
+def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    """Write ``summary.json`` of a run directory."""
+    write_atomically(path / "summary.json", json.dumps(summary, indent=2).encode())
+
+
 def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     """Decide where a run is kept.
 
@@ -133,10 +138,6 @@ class RunDirectory:
     def policy(self, place: str, graph: bytes) -> None:
         """Write ``PLACE/policy.onnx``, for example ``latest/policy.onnx``."""
         write_atomically(self.path / place / "policy.onnx", graph)
-
-    def summary(self, summary: Mapping[str, Any]) -> None:
-        """Write ``summary.json``."""
-        write_atomically(self.path / "summary.json", json.dumps(summary, indent=2).encode())
 
     def close(self) -> None:
         """Close the files."""

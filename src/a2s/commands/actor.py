@@ -7,8 +7,8 @@ import sys
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
 from a2s.actors.worker import Task
+from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
-from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import check_endpoint
 
@@ -48,7 +48,10 @@ def act(
         for index in range(n)
     ]
     fleet = Fleet(n)
-    url = _serve(fleet, metrics_host, metrics_port)
+    url = "off"
+    if metrics_port != -1:
+        bound = serve_on(metrics_port, METRICS_PORT, lambda port: serve(fleet, metrics_host, port))
+        url = f"http://{metrics_host}:{bound}/metrics"
     sys.stdout.write(
         f"a2s actor: {n} processes for run {run}\n  connect     {connect}\n  metrics     {url}\n"
     )
@@ -56,16 +59,3 @@ def act(
     with stop_on_signals() as stop:
         Supervisor(tasks, fleet).run(stop)
     return EXIT_INTERRUPTED if stop.interrupted else 0
-
-
-def _serve(fleet: Fleet, host: str, port: int | None) -> str:
-    """Serve metrics; where the user names no port and the usual one is taken, on a free one."""
-    if port == -1:
-        return "off"
-    try:
-        bound = serve(fleet, host, METRICS_PORT if port is None else port)
-    except UsageError:
-        if port is not None:
-            raise
-        bound = serve(fleet, host, 0)
-    return f"http://{host}:{bound}/metrics"

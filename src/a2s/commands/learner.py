@@ -8,13 +8,13 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from a2s.actors.environment import describe
+from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
 from a2s.learner import run_directory
 from a2s.learner.configuration import Configuration
 from a2s.learner.learner import Learner
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import make_view
-from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -80,16 +80,11 @@ def learn(
 
 @contextmanager
 def _served(metrics: LearnerMetrics, host: str, port: int | None) -> Iterator[str]:
-    """Serve metrics; where the user names no port and the usual one is taken, on a free one."""
+    """Serve metrics as long as the block lasts, and give their address."""
     if port == -1:
         yield "off"
         return
-    try:
-        bound, stop = metrics.serve(host, METRICS_PORT if port is None else port)
-    except UsageError:
-        if port is not None:
-            raise
-        bound, stop = metrics.serve(host, 0)
+    bound, stop = serve_on(port, METRICS_PORT, lambda chosen: metrics.serve(host, chosen))
     try:
         yield f"http://{host}:{bound}/metrics"
     finally:

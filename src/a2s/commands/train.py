@@ -18,6 +18,7 @@ from a2s.actors.environment import describe
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
+from a2s.learner import run_directory
 from a2s.learner.configuration import Configuration
 from a2s.protocol.errors import A2SError, UsageError
 
@@ -73,7 +74,7 @@ def train(
     summary = json.loads((path / "summary.json").read_text())
     if summary["finished"]:
         summary["evaluation"] = _evaluate(path, evaluation, out)
-        (path / "summary.json").write_text(json.dumps(summary, indent=2))
+        run_directory.write_summary(path, summary)
     _show(summary, path, out)
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")
