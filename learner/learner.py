@@ -77,8 +77,10 @@ class Learner:
         self._ledger = Ledger(path / "segments.log")
         self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, self._hyper, self._run.seed)
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
+        self._plays_on = self._run.clock == "lockstep" and self._hyper.max_policy_lag > 0
+        self._first_version = 0
         self._record = EpisodeRecord()
-        self._graph = b""
+        self._graph = self._latest = b""
         self._bus = bus
         if resume:
             self._resume()
@@ -124,14 +126,20 @@ class Learner:
             batch = self._next_batch(proceed)
             if not batch:
                 break
-            stats = self._update([segment for _, segment in batch])
+            segments = [segment for _, segment in batch]
+            self._keep_best()
+            if self._plays_on:
+                self._publish()
+            stats = self._update(segments)
             self._recover(stats)
-            self._publish()
+            if not self._plays_on or stats.recovered:
+                self._publish()
             self._write(stats)
             if self._at.updates % self._run.checkpoint_every_updates == 0:
                 self._checkpoint()
             if self._is_kept():
                 self._directory.policy(f"policies/{self._at.env_steps:09d}", self._graph)
+        self._at.version = max(self._at.version, self._first_version)
         self._checkpoint()
         self._bus.close()
         return self._finish()
@@ -159,12 +167,19 @@ class Learner:
         return batch
 
     def _update(self, segments: list[Segment]) -> UpdateStats:
-        self._keep_best()
+        made_by = max(segment.weights_version for segment in segments)
+        is_behind = made_by < self._first_version
         with self._metrics.update_seconds.labels(phase="compute").time():
-            progress = min(1.0, self._at.env_steps / self._run.total_steps)
-            stats = self._algorithm.update(to_batch(segments), progress)
+            stats = self._algorithm.update(
+                to_batch(segments), self._progress(), is_behind=is_behind
+            )
         self._at.updates = self._algorithm.updates
+        self._first_version = self._at.version + 1
         return stats
+
+    def _progress(self) -> float:
+        """Fraction of the run that is done, 0..1."""
+        return min(1.0, self._at.env_steps / self._run.total_steps)
 
     def _keep_best(self) -> None:
         """Keep the graph that made this batch, if its recent returns are the best so far."""
@@ -200,13 +215,16 @@ class Learner:
         self._service.announce_recovery(event)
         self._metrics.recoveries.inc()
 
+    def _export(self, version: int) -> bytes:
+        metadata = {"env": self._run.env, "algo": self._run.algo}
+        suggester = self._algorithm.suggester(*self._bounds, self._progress())
+        return export(suggester, version, metadata)
+
     def _publish(self) -> None:
         """Export the networks; while the run goes on, serve and announce them."""
         self._at.version += 1
         with self._metrics.update_seconds.labels(phase="publish").time():
-            metadata = {"env": self._run.env, "algo": self._run.algo}
-            suggester = self._algorithm.suggester(*self._bounds)
-            self._graph = export(suggester, self._at.version, metadata)
+            self._graph = self._export(self._at.version)
             if self._at.env_steps < self._run.total_steps:
                 batch_steps, quota = self._quota()
                 notice = self._publisher.prepare(
@@ -244,7 +262,8 @@ class Learner:
         self._show(stats.kl)
 
     def _checkpoint(self) -> None:
-        self._directory.policy("latest", self._graph)
+        self._latest = self._export(max(self._at.version, self._first_version))
+        self._directory.policy("latest", self._latest)
         tensors, scalars = self._algorithm.state()
         state = {
             "algorithm": scalars,
@@ -275,7 +294,7 @@ class Learner:
             self._record.add(episode_return, length)
 
     def _finish(self) -> dict[str, Any]:
-        summary = self._report.summary(self._directory.path, self._graph)
+        summary = self._report.summary(self._directory.path, self._latest)
         self._directory.event("end", env_steps=self._at.env_steps)
         write_summary(self._directory.path, summary)
         self._directory.close()

@@ -87,6 +87,9 @@ class Body(nn.Module):
         hidden = sizes[1:-1] if hyper.layer_norm else ()
         self.gain = nn.ParameterList([nn.Parameter(torch.ones(members, 1, n)) for n in hidden])
         self.offset = nn.ParameterList([nn.Parameter(torch.zeros(members, 1, n)) for n in hidden])
+        # The same parameters: looking one up in a ParameterList takes as long as a small kernel.
+        self._sums = list(zip(weight, bias, strict=True))
+        self._norms = list(zip(self.gain, self.offset, strict=True))
 
     def forward(self, x: Tensor) -> Tensor:
         """Map inputs ``[N, in]`` to outputs ``[E, N, out]``."""
@@ -95,10 +98,10 @@ class Body(nn.Module):
 
     def after_first(self, x: Tensor) -> Tensor:
         """Go on from the sums of the first layer, ``[E, N, hidden]``, to ``[E, N, out]``."""
-        for index in range(1, len(self.weight)):
+        for index, (weight, bias) in enumerate(self._sums[1:]):
             if self.layer_norm:
-                x = _layer_norm(x, self.gain[index - 1], self.offset[index - 1])
-            x = torch.baddbmm(self.bias[index], self._activate(x), self.weight[index])
+                x = _layer_norm(x, *self._norms[index])
+            x = torch.baddbmm(bias, self._activate(x), weight)
         return x
 
     @torch.no_grad()
@@ -113,18 +116,20 @@ class Body(nn.Module):
         """
         layers = []
         seen = x.expand(self.members, *x.shape)
-        for index in range(len(self.weight) - 1):
-            linear = torch.baddbmm(self.bias[index], seen, self.weight[index])
+        for index, (weight, bias) in enumerate(self._sums[:-1]):
+            linear = torch.baddbmm(bias, seen, weight)
             normal = mean = rstd = inner = linear
             if self.layer_norm:
                 normal, mean, rstd = torch.native_layer_norm(
                     linear, linear.shape[-1:], None, None, LAYER_NORM_EPS
                 )
-                inner = torch.addcmul(self.offset[index], normal, self.gain[index])
+                gain, offset = self._norms[index]
+                inner = torch.addcmul(offset, normal, gain)
             out = self._activate(inner)
             layers.append(Layer(seen, linear, normal, mean, rstd, inner, out))
             seen = out
-        out = torch.baddbmm(self.bias[-1], seen, self.weight[-1])
+        weight, bias = self._sums[-1]
+        out = torch.baddbmm(bias, seen, weight)
         layers.append(Layer(seen, out, out, out, out, out, out))
         return out, layers
 
@@ -137,21 +142,22 @@ class Body(nn.Module):
             grad: Gradient of the loss with respect to the outputs, ``[E, N, out]``.
         """
         for index in reversed(range(len(layers))):
-            seen = layers[index].seen
-            torch.bmm(seen.mT, grad, out=self.weight[index].grad)
-            torch.sum(grad, 1, keepdim=True, out=self.bias[index].grad)
+            weight, bias = self._sums[index]
+            torch.bmm(layers[index].seen.mT, grad, out=weight.grad)
+            torch.sum(grad, 1, keepdim=True, out=bias.grad)
             if index > 0:
                 below = layers[index - 1]
-                grad = torch.bmm(grad, self.weight[index].mT)
+                grad = torch.bmm(grad, weight.mT)
                 grad = self._derive(grad, below.inner, below.out)
                 if self.layer_norm:
                     grad = self._through_norm(index - 1, below, grad)
 
     def _through_norm(self, index: int, layer: Layer, grad: Tensor) -> Tensor:
-        torch.sum(grad * layer.normal, 1, keepdim=True, out=self.gain[index].grad)
-        torch.sum(grad, 1, keepdim=True, out=self.offset[index].grad)
+        gain, offset = self._norms[index]
+        torch.sum(grad * layer.normal, 1, keepdim=True, out=gain.grad)
+        torch.sum(grad, 1, keepdim=True, out=offset.grad)
         through: Tensor = _aten.native_layer_norm_backward(
-            grad * self.gain[index],
+            grad * gain,
             layer.linear,
             grad.shape[-1:],
             layer.mean,

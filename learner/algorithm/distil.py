@@ -64,20 +64,27 @@ def distil_target(
     return candidates.gather(1, best.unsqueeze(2).expand(-1, -1, mean.shape[1])).mean(1)
 
 
-def distil_loss(kind: DistilLoss, mean: Tensor, target: Tensor, std: Tensor) -> Tensor:
-    """Loss of equation 6, a scalar.
+@torch.no_grad()
+def distil_loss(
+    kind: DistilLoss, mean: Tensor, target: Tensor, std: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Loss of equation 6.
 
     Args:
         kind: ``mse``: mean over steps and dimensions; ``log-likelihood``: of the joint density,
             the standard deviation held.
         mean: Of the policy, ``[M, A]``.
         target: mu^Q, ``[M, A]``.
-        std: Of the policy, ``[A]``; no gradient flows to it.
+        std: Of the policy, ``[A]``; taken as given.
+
+    Returns:
+        The loss, a scalar, and its gradient by the mean, ``[M, A]``.
     """
-    error = target - mean
+    error = mean - target
     if kind == "mse":
-        return error.square().mean()
-    return 0.5 * (error / std.detach()).square().sum(1).mean()
+        return error.square().mean(), error * (2.0 / error.numel())
+    pull = error / (std.square() * len(error))
+    return 0.5 * (error * pull).sum(), pull
 
 
 def distil_separately(
@@ -118,12 +125,13 @@ def distil_separately(
     total, made = 0.0, 0
     for _ in range(steps):
         rows = torch.randint(len(obs), (minibatch,), generator=generator)
-        mean = policy(obs[rows])
-        moved = gaussian_kl(mean.detach(), log_std, before[rows], log_std).sum(1).mean()
+        mean, layers = policy.trace(obs[rows])
+        moved = gaussian_kl(mean, log_std, before[rows], log_std).sum(1).mean()
         if float(moved) > kl_bound:
             break
-        loss = distil_loss(kind, mean, target[rows], log_std.exp())
-        optimiser.descend(loss, learning_rate, max_grad_norm)
+        loss, by_mean = distil_loss(kind, mean, target[rows], log_std.exp())
+        policy.differentiate(layers, by_mean, torch.zeros_like(log_std))
+        optimiser.step(learning_rate, max_grad_norm)
         total += loss.item()
         made += 1
     return total / max(made, 1), made

@@ -96,6 +96,8 @@ class OnPolicyHyper:
     """``hard``: the suggestion of largest Q; ``soft``: drawn by softmax of Q over its spread."""
     temperature: float
     """Of soft selection, in units of Q's standard deviation over the K suggestions."""
+    selection_fades: bool
+    """Soft selection becomes indifferent towards the end: temperature / (1 - progress)."""
     critic_score: CriticScore
     """How the scores of two critics become one."""
     action_mode: ActionMode
@@ -116,7 +118,10 @@ class OnPolicyHyper:
     whole_episodes: bool
     """Segments are whole episodes; otherwise episodes are cut where the batch is full."""
     max_policy_lag: int
-    """Versions that a segment may be older than the newest weights."""
+    """Versions that a segment may be older than the newest weights.
+
+    In lockstep, above 0: actors play on while the learner learns, one version behind.
+    """
 
     gamma: float
     """Discount per step, above 0 and at most 1."""

@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from a2s.learner.algorithm.body import Body
+from a2s.learner.algorithm.body import Body, Layer
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 
 OBS_LIMIT = 10.0
@@ -89,6 +89,24 @@ class Policy(nn.Module):
         """Mean action, canonical, of normalised observations: ``[N, D]`` to ``[N, A]``."""
         mean: Tensor = self.body(obs)
         return mean.squeeze(0)
+
+    def trace(self, obs: Tensor) -> tuple[Tensor, list[Layer]]:
+        """Map like `forward`, and keep what `differentiate` needs."""
+        mean, layers = self.body.trace(obs)
+        return mean.squeeze(0), layers
+
+    def differentiate(self, layers: list[Layer], by_mean: Tensor, by_log_std: Tensor) -> None:
+        """Overwrite the gradients of all parameters.
+
+        Args:
+            layers: Of `trace`.
+            by_mean: Gradient of the loss by the means, ``[N, A]``.
+            by_log_std: By the log standard deviation, ``[A]``; not used when that is fixed.
+        """
+        self.body.differentiate(layers, by_mean.unsqueeze(0))
+        if isinstance(self.log_std, nn.Parameter):
+            assert self.log_std.grad is not None
+            self.log_std.grad.copy_(by_log_std)
 
     def std(self) -> Tensor:
         """Standard deviation, ``[A]``."""

@@ -4,6 +4,7 @@ Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1. A2C i
 suggestion and neither equation.
 """
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -22,6 +23,7 @@ from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.algorithm.update_stats import UpdateStats
 from a2s.protocol.errors import A2SError
 
+LEAST_CHOOSY = 1e-3
 _GENERATORS = ("networks", "order", "q", "recovery")
 _BEST = "best."
 
@@ -33,7 +35,7 @@ class OnPolicy:
 
         algorithm = OnPolicy(obs_size, action_size, hyper, seed)
         while ...:
-            graph = export(algorithm.suggester(low, high), ...)
+            graph = export(algorithm.suggester(low, high, progress), ...)
             stats = algorithm.update(batch)
 
     Args:
@@ -63,6 +65,7 @@ class OnPolicy:
             best_decay=hyper.recovery_best_decay,
         )
         self._best: Snapshot | None = None
+        self._before: Snapshot | None = None
         self._updates = 0
         self._q_fits = 0
         self._q_trusted = hyper.warm_up == "none"
@@ -72,14 +75,18 @@ class OnPolicy:
         """Batches seen."""
         return self._updates
 
-    def suggester(self, action_low: Tensor, action_high: Tensor) -> Suggester:
+    def suggester(
+        self, action_low: Tensor, action_high: Tensor, progress: float = 0.0
+    ) -> Suggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
         Args:
             action_low: Of the environment, float32 ``[A]``.
             action_high: Of the environment, float32 ``[A]``.
+            progress: Fraction of the run that is done, 0..1; only ``selection_fades`` reads it.
         """
         hyper, learned = self.hyper, self.learned
+        choosy = 1.0 - progress if hyper.selection_fades else 1.0
         picks = self._q_trusted and hyper.suggestions > 1
         return Suggester(
             normaliser=learned.normaliser,
@@ -89,23 +96,26 @@ class OnPolicy:
             action_high=action_high,
             mode=hyper.selection if picks else "first",
             suggestions=hyper.suggestions if picks else 1,
-            temperature=hyper.temperature,
+            temperature=hyper.temperature / max(choosy, LEAST_CHOOSY),
             action_mode=hyper.action_mode,
             q_scale=learned.returns.std,
         )
 
-    def update(self, batch: Batch, progress: float = 0.0) -> UpdateStats:
+    def update(
+        self, batch: Batch, progress: float = 0.0, *, is_behind: bool = False
+    ) -> UpdateStats:
         """Learn from a batch, or go back to the best networks.
 
         Args:
             batch: Segments made by the present networks, or by ones not much older.
             progress: Fraction of the run that is done, 0..1; only ``lr_rule = anneal`` reads it.
+            is_behind: The networks before the last update made it, not the present ones.
 
         Raises:
             A2SError: The networks are no longer finite.
         """
         learned, step_size = self.learned, self._step_size
-        decision = self._judge(batch)
+        decision = self._judge(batch, is_behind)
         recovers = decision is not None and decision.recover
         collected = policy_now(learned, batch.obs)
         learned.normaliser.update(batch.obs)
@@ -195,14 +205,18 @@ class OnPolicy:
         self._q_fits = scalars["q_fits"]
         self._q_trusted = scalars["q_trusted"]
 
-    def _judge(self, batch: Batch) -> RecoveryDecision | None:
+    def _judge(self, batch: Batch, is_behind: bool) -> RecoveryDecision | None:
         """Test equation 5, and keep the networks that made the batch when they are the best."""
         if self.hyper.recovery == "off":
             return None
         draw = float(torch.rand((), generator=self._generators["recovery"]))
         decision = self._recovery.judge(batch.episode_returns.tolist(), draw)
+        present = self.learned.capture(0)
         if decision.improved:
-            self._best = self.learned.capture(int(batch.weights_version.max()))
+            made_it = self._before if is_behind and self._before is not None else present
+            version = int(batch.weights_version.max())
+            self._best = dataclasses.replace(made_it, weights_version=version)
+        self._before = present
         return decision
 
     def _recover(self) -> None:

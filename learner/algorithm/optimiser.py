@@ -13,7 +13,7 @@ class FlatParameters:
 
     Attributes:
         value: All parameters, float32 ``[P]``; writing to it writes to the module.
-        grad: All gradients, float32 ``[P]``; ``backward`` adds to it.
+        grad: All gradients, float32 ``[P]``.
     """
 
     def __init__(self, module: nn.Module) -> None:
@@ -49,22 +49,12 @@ class Adam:
         self._first = torch.zeros_like(parameters.value)
         self._second = torch.zeros_like(parameters.value)
 
-    def descend(self, loss: Tensor, learning_rate: float, max_grad_norm: float) -> None:
-        """Make one step down a loss, its gradient shortened to a norm unless that is 0."""
-        self.clear()
-        torch.autograd.backward(loss)
-        self.step(learning_rate, max_grad_norm)
-
-    def clear(self) -> None:
-        """Set all gradients to 0: autograd adds to them."""
-        self._parameters.grad.zero_()
-
     @torch.no_grad()
     def step(self, learning_rate: float, max_grad_norm: float) -> None:
         """Make one step down the gradients that are there, shortened to a norm unless that is 0."""
         grad, value = self._parameters.grad, self._parameters.value
         if max_grad_norm > 0:
-            grad.mul_((max_grad_norm / (grad.norm() + 1e-6)).clamp_(max=1.0))
+            grad.mul_((max_grad_norm / (torch.linalg.vector_norm(grad) + 1e-6)).clamp_(max=1.0))
         self._steps += 1
         self._first.lerp_(grad, 1.0 - BETA_1)
         self._second.mul_(BETA_2).addcmul_(grad, grad, value=1.0 - BETA_2)

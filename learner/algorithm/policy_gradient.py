@@ -110,8 +110,8 @@ def policy_loss(
     advantage: Tensor,
     weight: Tensor,
     clip: float,
-) -> Tensor:
-    """Loss whose gradient is minus the policy gradient, a scalar.
+) -> tuple[Tensor, Tensor]:
+    """Loss whose gradient is minus the policy gradient.
 
     Args:
         kind: ``score`` or ``clip``.
@@ -121,14 +121,20 @@ def policy_loss(
         weight: Importance of each, ``[M, J]``.
         clip: Epsilon of ``clip``.
 
+    Returns:
+        The loss, a scalar, and its derivative by ``log_prob``, ``[M, J]``.
+
     Source: equation 4 of the paper (``score``; the authors' mean over dimensions differs by a
     factor, which Adam undoes); Schulman et al. 2017, equation 7 (``clip``).
     """
+    worth = weight * advantage
     if kind == "score":
-        return -(weight * log_prob * advantage).mean()
+        return -(worth * log_prob).mean(), worth / -worth.numel()
     ratio = (log_prob - old_log_prob).exp()
-    limited = ratio.clamp(1.0 - clip, 1.0 + clip)
-    return -(weight * torch.minimum(ratio * advantage, limited * advantage)).mean()
+    free = ratio * worth
+    limited = ratio.clamp(1.0 - clip, 1.0 + clip) * worth
+    slope = free * (free <= limited) / -free.numel()
+    return -torch.minimum(free, limited).mean(), slope
 
 
 @torch.no_grad()
@@ -163,32 +169,48 @@ def improve(
         passes += 1
         totals.zero_()
         for part in _minibatches(data, count, generator):
-            mean, layers = policy.body.trace(part.obs)
-            mean.requires_grad_()
-            losses = _losses(mean.squeeze(0), policy, part, hyper)
-            loss = losses.sum() - hyper.entropy_weight * entropy(policy.log_std)
-            optimiser.clear()
-            torch.autograd.backward(loss)
-            assert mean.grad is not None
-            policy.body.differentiate(layers, mean.grad)
+            mean, layers = policy.trace(part.obs)
+            losses, by_mean, by_log_std = differentiate(mean, policy.log_std, part, hyper)
+            policy.differentiate(layers, by_mean, by_log_std)
             optimiser.step(learning_rate, hyper.max_grad_norm)
             policy.hold_floor()
-            totals += losses.detach()
+            totals += losses
         kl = joint_kl(policy, data)
     gradient, distilled = (totals / count).tolist()
     return Improvement(gradient, distilled, passes, kl)
 
 
-def _losses(mean: Tensor, policy: Policy, part: PolicyData, hyper: OnPolicyHyper) -> Tensor:
-    """Losses of the policy gradient and, weighted, of equation 6, ``[2]``."""
-    log_prob = log_density(mean, policy.log_std, part.action)
-    loss = policy_loss(
+@torch.no_grad()
+def differentiate(
+    mean: Tensor, log_std: Tensor, part: PolicyData, hyper: OnPolicyHyper
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What a policy loses on some data, and how that changes with the policy.
+
+    Args:
+        mean: Of the policy on the data, ``[M, A]``.
+        log_std: Of the policy, ``[A]``.
+        part: The data.
+        hyper: Kinds of loss, and weights.
+
+    Returns:
+        Losses of the policy gradient and, weighted, of equation 6, ``[2]``; the gradient of their
+        sum less the weighted entropy, by the mean, ``[M, A]``, and by the log deviation, ``[A]``.
+    """
+    factor = (-log_std).exp()
+    z = (part.action - mean.unsqueeze(1)) * factor
+    square = z.square()
+    log_prob = -0.5 * square.sum(2) - (log_std + HALF_LOG_2PI).sum()
+    loss, slope = policy_loss(
         hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
     )
+    steep = slope.unsqueeze(2)
+    by_mean = (steep * z).sum(1) * factor
+    by_log_std = (steep * square).sum((0, 1)) - slope.sum() - hyper.entropy_weight
     if part.distil_target is None:
-        return torch.stack([loss, torch.zeros(())])
-    extra = distil_loss(hyper.distil_loss, mean, part.distil_target, policy.std())
-    return torch.stack([loss, hyper.distil_weight * extra])
+        return torch.stack([loss, torch.zeros(())]), by_mean, by_log_std
+    extra, pull = distil_loss(hyper.distil_loss, mean, part.distil_target, log_std.exp())
+    by_mean += hyper.distil_weight * pull
+    return torch.stack([loss, hyper.distil_weight * extra]), by_mean, by_log_std
 
 
 def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> list[PolicyData]:

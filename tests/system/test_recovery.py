@@ -68,7 +68,7 @@ def test_recoveries_are_journaled_followed_and_replayable(
     rule = Recovery(rule="invariant", bias=0.0, statistic="mean", episodes=0)
     episodes = _table(path / "episodes.csv")
     for row in updates:
-        made_by = str(int(row["weights_version"]) - 1)
+        made_by = str(int(row["weights_version"]) - 1 - int(row["recovered"]))
         returns = [float(e["return"]) for e in episodes if e["weights_version"] == made_by]
         decision = rule.judge(returns, float(row["recovery_draw"]))
         assert decision.recover is (row["recovered"] == "1"), row

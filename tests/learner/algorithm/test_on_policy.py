@@ -180,6 +180,34 @@ def test_recovery_restores_everything_and_learns_nothing() -> None:
     assert stats.recovery.r_best == 100.0
 
 
+def test_recovery_restores_the_networks_that_made_the_best_batch() -> None:
+    """Not those that were there when it came, one update later."""
+    algorithm = make(recovery_bias=0.0, recovery_episodes=1)
+    first = play(algorithm, 0, score=1.0, version=1)
+    made_it = fingerprint(algorithm, without="generator")
+    second = play(algorithm, 1, score=100.0, version=2)
+    algorithm.update(first)
+    algorithm.update(second, is_behind=True)
+    stats = algorithm.update(play(algorithm, 2, score=-1e6, version=3), is_behind=True)
+    assert stats.restored_version == 2
+    after = fingerprint(algorithm, without="generator")
+    assert {n: after[n] for n in made_it if n in after} == {
+        n: v for n, v in made_it.items() if n in after
+    }
+
+
+def test_selection_fades_to_indifference() -> None:
+    """Halfway the temperature is twice that of the beginning."""
+    algorithm = make()
+    algorithm.update(play(algorithm, 0))
+    bounds = -torch.ones(A), torch.ones(A)
+    temperatures = [algorithm.suggester(*bounds, p).temperature for p in (0.0, 0.5, 1.0)]
+    assert temperatures == [1.0, 2.0, 1000.0]
+    stays = make(selection_fades=False)
+    stays.update(play(stays, 0))
+    assert stays.suggester(*bounds, 1.0).temperature == 1.0
+
+
 def test_authors_recovery_restores_the_networks_and_still_learns() -> None:
     """Their eq. 6 and gradient follow."""
     algorithm = make("authors", recovery_bias=0.0)

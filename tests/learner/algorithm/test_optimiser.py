@@ -21,11 +21,14 @@ def test_steps_are_those_of_adamw_with_clipping(decay: float, max_norm: float) -
     """Twenty steps beside torch's."""
     ours = make_net()
     theirs = copy.deepcopy(ours)
-    adam = Adam(FlatParameters(ours), weight_decay=decay)
+    flat = FlatParameters(ours)
+    adam = Adam(flat, weight_decay=decay)
     other = torch.optim.AdamW(theirs.parameters(), lr=0.01, weight_decay=decay)
     for _ in range(20):
         x = torch.randn(8, 3)
-        adam.descend(ours(x).square().mean(), 0.01, max_norm)
+        flat.grad.zero_()
+        torch.autograd.backward(ours(x).square().mean())
+        adam.step(0.01, max_norm)
         other.zero_grad()
         torch.autograd.backward(theirs(x).square().mean())
         if max_norm:
@@ -48,7 +51,8 @@ def test_two_optimisers_of_one_network_keep_their_own_moments() -> None:
     """Equation 6 and the gradient differ in scale."""
     flat = FlatParameters(net := make_net())
     one, two = Adam(flat), Adam(flat)
-    one.descend(net(torch.randn(4, 3)).sum(), 0.01, 0.0)
+    torch.autograd.backward(net(torch.randn(4, 3)).sum())
+    one.step(0.01, 0.0)
     assert int(one.state()["steps"]) == 1
     assert int(two.state()["steps"]) == 0
     assert float(two.state()["first"].abs().sum()) == 0.0

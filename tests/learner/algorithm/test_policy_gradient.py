@@ -11,6 +11,7 @@ from a2s.learner.algorithm.optimiser import Adam, FlatParameters
 from a2s.learner.algorithm.policy_gradient import (
     PolicyData,
     advantage_over_others,
+    differentiate,
     entropy,
     importance,
     improve,
@@ -33,28 +34,33 @@ def test_density_and_entropy_agree_with_the_textbook() -> None:
 def test_score_loss_by_hand() -> None:
     """Equation 4."""
     log_prob, advantage = torch.tensor([[-1.0], [-3.0]]), torch.tensor([[2.0], [-1.0]])
-    loss = policy_loss("score", log_prob, torch.zeros(2, 1), advantage, torch.ones(2, 1), 0.2)
+    loss, slope = policy_loss(
+        "score", log_prob, torch.zeros(2, 1), advantage, torch.ones(2, 1), 0.2
+    )
     assert float(loss) == -0.5  # -(-2 + 3) / 2
+    assert slope.tolist() == [[-1.0], [0.5]]
 
 
 @pytest.mark.parametrize(
-    ("ratio", "advantage", "loss"),
+    ("ratio", "advantage", "loss", "slope"),
     [
-        (1.0, 2.0, -2.0),
-        (1.5, 2.0, -2.4),  # gains end at 1.2
-        (0.5, 2.0, -1.0),
-        (0.5, -2.0, 1.6),  # losses end at 0.8
-        (1.5, -2.0, 3.0),
+        (1.0, 2.0, -2.0, -2.0),
+        (1.5, 2.0, -2.4, 0.0),  # gains end at 1.2
+        (0.5, 2.0, -1.0, -1.0),
+        (0.5, -2.0, 1.6, 0.0),  # losses end at 0.8
+        (1.5, -2.0, 3.0, 3.0),
     ],
 )
-def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float) -> None:
+def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: float) -> None:
     """Only gains are limited."""
     log_prob = torch.tensor([[ratio]]).log()
     worth = torch.tensor([[advantage]])
-    found = policy_loss("clip", log_prob, torch.zeros(1, 1), worth, torch.ones(1, 1), 0.2)
-    assert float(found) == pytest.approx(loss)
-    weighed = policy_loss("clip", log_prob, torch.zeros(1, 1), worth, torch.full((1, 1), 3.0), 0.2)
-    assert float(weighed) == pytest.approx(3.0 * loss)
+    for weight in (1.0, 3.0):
+        found, steepness = policy_loss(
+            "clip", log_prob, torch.zeros(1, 1), worth, torch.full((1, 1), weight), 0.2
+        )
+        assert float(found) == pytest.approx(weight * loss)
+        assert float(steepness) == pytest.approx(weight * slope)
 
 
 @given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
@@ -75,8 +81,8 @@ def test_all_suggestions_gradient_is_that_of_the_expected_q() -> None:
     advantage = advantage_over_others(-(action[..., 0] - 1.0).square())
     log_prob = log_density(mean, log_std, action)
     weight = torch.ones_like(advantage)
-    loss = policy_loss("score", log_prob, log_prob.detach(), advantage, weight, 0.2)
-    (gradient,) = torch.autograd.grad(loss, mean)
+    _, slope = policy_loss("score", log_prob, log_prob.detach(), advantage, weight, 0.2)
+    (gradient,) = torch.autograd.grad(log_prob, mean, slope.detach())
     assert float(-gradient.sum()) == pytest.approx(2.0, rel=0.02)
 
 
@@ -114,8 +120,9 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     log_prob = log_density(mean, log_std, action)
     executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0).unsqueeze(1)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
-    loss = policy_loss("clip", log_prob, log_prob.detach(), torch.ones(40_000, 1), weight, 0.2)
-    (gradient,) = torch.autograd.grad(loss, mean)
+    drawn = log_prob.detach()
+    _, slope = policy_loss("clip", drawn, drawn, torch.ones(40_000, 1), weight, 0.2)
+    (gradient,) = torch.autograd.grad(log_prob, mean, slope)
     if weighed:
         assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
     else:
@@ -138,6 +145,45 @@ def data_of(policy: Policy, rows: int = 400) -> PolicyData:
         log_std=policy.log_std.detach().clone(),
         distil_target=None,
     )
+
+
+@pytest.mark.parametrize("loss", ["score", "clip"])
+@pytest.mark.parametrize("distil", ["mse", "log-likelihood", None])
+def test_gradient_is_that_of_autograd(loss: str, distil: str | None) -> None:
+    """Of both losses and the entropy, written out once more from their definitions."""
+    hyper = on_policy(
+        "modern", "a2s", {"policy_loss": loss, "entropy_weight": 0.1, "distil_weight": 0.3}
+        | ({"distil_loss": distil} if distil else {}),
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(0)
+    mean = torch.randn(50, 2, generator=generator, requires_grad=True)
+    log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
+    action = mean.detach().unsqueeze(1) + torch.randn(50, 3, 2, generator=generator) * 0.5
+    log_prob = log_density(mean, log_std, action)
+    target = torch.randn(50, 2, generator=generator) if distil else None
+    part = PolicyData(
+        obs=torch.zeros(50, 1),
+        action=action,
+        log_prob=log_prob.detach() + 0.3 * torch.randn(50, 3, generator=generator),
+        advantage=torch.randn(50, 3, generator=generator),
+        weight=torch.rand(50, 3, generator=generator),
+        mean=mean.detach(),
+        log_std=log_std.detach(),
+        distil_target=target,
+    )
+    ratio = (log_prob - part.log_prob).exp()
+    gain = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
+    gain = gain if loss == "clip" else log_prob * part.advantage
+    losses = [-(part.weight * gain).mean(), torch.zeros(())]
+    if target is not None:
+        scale = log_std.detach().exp()
+        error = (mean - target).square() / (1.0 if distil == "mse" else 2 * scale.square())
+        losses[1] = 0.3 * (error.mean() if distil == "mse" else error.sum(1).mean())
+    torch.autograd.backward(losses[0] + losses[1] - 0.1 * entropy(log_std))
+    found, by_mean, by_log_std = differentiate(mean.detach(), log_std.detach(), part, hyper)
+    torch.testing.assert_close(found, torch.stack(losses).detach())
+    torch.testing.assert_close(by_mean, mean.grad)
+    torch.testing.assert_close(by_log_std, log_std.grad)
 
 
 @pytest.mark.parametrize("loss", ["score", "clip"])
