@@ -2,7 +2,8 @@
 
 Every run is `a2s train` with fixed seeds, one actor process and one thread, so that several fit on
 a machine. A run that has finished is not run again; one that was interrupted is resumed. What is
-left behind is one row a run in results.csv beside this file, and the episodes of every run.
+left behind beside this file: one row a run in results.csv, the episodes of every run, and a table
+and the curves of the suite.
 """
 
 import argparse
@@ -14,6 +15,8 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+
+from table import tables
 
 HERE = Path(__file__).parent
 MODES = ("mean", "best-of-k")
@@ -49,9 +52,7 @@ class Suite:
 
 
 SUITES = {
-    "pendulum": Suite((PENDULUM,), ("modern",), (0, 1, 2, 3, 4), 20_000),
-    "pendulum-8k": Suite((PENDULUM,), ("modern",), (0, 1, 2, 3, 4), 8_000),
-    "hopper-300k": Suite(("Hopper-v5",), ("modern",), (0, 1, 2), 300_000),
+    "figure-2": Suite((PENDULUM,), ("modern", "no-recovery", "a2c"), (0, 1, 2, 3, 4), 20_000),
     "million": Suite(MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000),
     "ablation": Suite(
         ("Hopper-v5", "HalfCheetah-v5"),
@@ -62,10 +63,15 @@ SUITES = {
 }
 
 
+def place(suite: str, env: str, label: str, seed: int, out: Path) -> Path:
+    """Directory of a run."""
+    return out / f"{env}-{label}-{SUITES[suite].steps}-{seed}"
+
+
 def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str, object]:
     """Train and evaluate one seed, unless that was done before."""
     steps = SUITES[suite].steps
-    path = out / f"{env}-{label}-{steps}-{seed}"
+    path = place(suite, env, label, seed, out)
     options = (
         "--env", env, "--total-steps", str(steps), "--seed", str(seed), "--n", "1", *LABELS[label],
     )  # fmt: skip
@@ -79,21 +85,9 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
     if not done:
         resume = ("--resume",) if (path / "checkpoints").exists() else ()
         _a2s("train", *options, *resume, "--run-dir", str(path), "--metrics-port", "-1", "--json")
+    how = ("--episodes", "10", "--seed", "1000", "--json")
     results = {
-        mode: json.loads(
-            _a2s(
-                "evaluate",
-                str(path),
-                "--episodes",
-                "10",
-                "--mode",
-                mode,
-                "--seed",
-                "1000",
-                "--json",
-            )
-        )
-        for mode in MODES
+        mode: json.loads(_a2s("evaluate", str(path), "--mode", mode, *how)) for mode in MODES
     }
     summary = json.loads(summary_file.read_text())
     return {
@@ -156,7 +150,7 @@ def _last_tenth(path: Path, suite: str, env_steps: int) -> float | None:
 
 
 def main() -> None:
-    """Run what is missing of a suite and rewrite its rows of results.csv."""
+    """Run what is missing of a suite, rewrite its rows of results.csv, its table and curves."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("suite", choices=SUITES)
     parser.add_argument("--out", type=Path, default=Path("runs/bench"))
@@ -177,6 +171,9 @@ def main() -> None:
             _keep(table, row)
             sys.stdout.write(f"{row['env']} {row['label']} {row['seed']}: {row['mean']}\n")
             sys.stdout.flush()
+    (HERE / f"{arguments.suite}.md").write_text(tables(arguments.suite, list(suite.labels)))
+    runs = [str(place(*job)) for job in jobs]
+    _a2s("plot", *runs, "--output", str(HERE / f"{arguments.suite}.png"))
 
 
 def _keep(table: Path, row: dict[str, object]) -> None:

@@ -5,13 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.commands.plot import mean_over_seeds, plot, smooth
+from a2s.commands.plot import identity, mean_over_seeds, plot, smooth
 from a2s.protocol.errors import UsageError
 
 
-def _run(path: Path, rows: list[tuple[int, float]], env: str = "Hopper-v5") -> Path:
+def _run(
+    path: Path, rows: list[tuple[int, float]], env: str = "Hopper-v5", hyper: str = ""
+) -> Path:
     path.mkdir()
-    config = f'[run]\nenv = "{env}"\nalgo = "a2s"\npreset = "modern"\n'
+    config = f'[run]\nenv = "{env}"\nalgo = "a2s"\npreset = "modern"\n[hyper]\n{hyper}\n'
     (path / "config.toml").write_text(config)
     lines = [f"0,{steps},0,1,{value},5,1" for steps, value in rows]
     header = "wall_s,env_steps,actor,weights_version,return,length,terminated"
@@ -38,6 +40,12 @@ def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) ->
     runs.append(_run(tmp_path / "c", rows, env="Walker2d-v5"))
     plot(runs, tmp_path / "sub" / "curves.png")
     assert (tmp_path / "sub" / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None:
+    hyper = 'suggestions = 4\ntemperature = 1.0\nrecovery = "off"'
+    run = _run(tmp_path / "a", [(10, 1.0)], hyper=hyper)
+    assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
 
 def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
+from a2s.learner import presets
 from a2s.protocol.errors import UsageError
 
 mpl.use("agg")
@@ -68,14 +69,14 @@ def mean_over_seeds(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
 
 
 def plot(runs: list[Path], output: Path) -> None:
-    """Draw the runs: one panel per environment, one colour per algorithm and preset.
+    """Draw the runs: one panel per environment, one colour for each way of learning.
 
     Raises:
         UsageError: A run cannot be read, or the picture cannot be written.
     """
     panels: dict[str, dict[str, list[tuple[Curve, Curve]]]] = {}
     for run in runs:
-        env, label = _identity(run)
+        env, label = identity(run)
         panels.setdefault(env, {}).setdefault(label, []).append(read_curve(run))
     figure, axes = plt.subplots(1, len(panels), figsize=(6 * len(panels), 4.2), squeeze=False)
     for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
@@ -101,9 +102,14 @@ def plot(runs: list[Path], output: Path) -> None:
         plt.close(figure)
 
 
-def _identity(run: Path) -> tuple[str, str]:
+def identity(run: Path) -> tuple[str, str]:
+    """Environment, and algorithm and preset with the hyperparameters that differ from it."""
     try:
-        table = tomllib.loads((run / "config.toml").read_text())["run"]
-        return table["env"], f"{table['algo']} {table['preset']}"
-    except (OSError, tomllib.TOMLDecodeError, KeyError):
+        document = tomllib.loads((run / "config.toml").read_text())
+        table, hyper = document["run"], document["hyper"]
+        preset = presets.on_policy(table["preset"], table["algo"], {})
+        changed = {k: v for k, v in hyper.items() if presets.parse(k, v) != getattr(preset, k)}
+        name = f"{table['algo']} {table['preset']}"
+        return table["env"], ", ".join([name, *(f"{k}={v}" for k, v in changed.items())])
+    except (OSError, tomllib.TOMLDecodeError, KeyError, AttributeError):
         raise UsageError(f"{run}: is not a run directory, it has no usable config.toml") from None

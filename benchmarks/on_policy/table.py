@@ -1,0 +1,81 @@
+"""Tables of a suite in Markdown, from results.csv: python benchmarks/on_policy/table.py SUITE."""
+
+import argparse
+import csv
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+from scores import interval
+
+HERE = Path(__file__).parent
+COLUMNS = {
+    "mean": "mean action",
+    "best_of_k": "best of K",
+    "return_last_tenth": "training, last tenth",
+    "return_best": "best episode",
+    "wall_s": "seconds",
+}
+# Average over the seeds of the best published figures that a suite is held against.
+UNIT = {"Hopper-v5": 2900.0, "Walker2d-v5": 3800.0, "HalfCheetah-v5": 6000.0}
+
+Rows = list[dict[str, str]]
+
+
+def tables(suite: str, labels: list[str]) -> str:
+    """Write every seed of every environment, then the aggregates over seeds."""
+    with (HERE / "results.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["suite"] == suite]
+    by_env: dict[str, dict[str, Rows]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        by_env[row["env"]][row["label"]].append(row)
+    parts = [_environment(env, groups, labels) for env, groups in by_env.items()]
+    parts.append(_together(by_env, labels))
+    return "\n".join(parts)
+
+
+def _environment(env: str, groups: dict[str, Rows], labels: list[str]) -> str:
+    lines = [f"### {env}", "", _row("", *COLUMNS.values(), "mean action of the seeds")]
+    lines.append(_row(*["---"] * (len(COLUMNS) + 2)))
+    for label in labels:
+        rows = groups.get(label, [])
+        if not rows:
+            continue
+        cells = [_interval([float(r[c]) for r in rows if r[c]]) for c in COLUMNS]
+        lines.append(_row(label, *cells, ", ".join(f"{float(r['mean']):.0f}" for r in rows)))
+    return "\n".join([*lines, ""])
+
+
+def _together(by_env: dict[str, dict[str, Rows]], labels: list[str]) -> str:
+    """Over all environments, each in units of its published figure."""
+    lines = [f"### All of {', '.join(by_env)}", "", _row("", "mean action"), _row("---", "---")]
+    for label in labels:
+        scores = [
+            [float(r["mean"]) / UNIT[env] for r in groups[label]]
+            for env, groups in by_env.items()
+            if label in groups and env in UNIT
+        ]
+        if len(scores) == len(by_env):
+            lines.append(_row(label, "{:.2f} [{:.2f}, {:.2f}]".format(*interval(scores))))
+    return "\n".join([*lines, ""])
+
+
+def _interval(values: list[float]) -> str:
+    return "{:,.0f} [{:,.0f}, {:,.0f}]".format(*interval([values])) if values else "-"
+
+
+def _row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("suite")
+    parser.add_argument("labels", nargs="*")
+    arguments = parser.parse_args()
+    sys.stdout.write(tables(arguments.suite, arguments.labels))
+
+
+if __name__ == "__main__":
+    main()
