@@ -78,11 +78,13 @@ def _by_epochs(
         target,
         epochs=hyper.critic_epochs,
         minibatch=hyper.critic_minibatch,
+        least_minibatches=hyper.least_minibatches,
         learning_rate=learning_rate,
         max_grad_norm=hyper.max_grad_norm,
         generator=generator,
     )
-    steps = hyper.critic_epochs * num_chunks(len(target), hyper.critic_minibatch)
+    chunks = num_chunks(len(target), hyper.critic_minibatch, hyper.least_minibatches)
+    steps = hyper.critic_epochs * chunks
     if len(jobs) == 1:
         return Fits(value_loss=losses[0], value_steps=steps)
     return Fits(losses[1], losses[0], steps, steps)

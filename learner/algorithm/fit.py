@@ -40,9 +40,12 @@ class Regression:
         return error.square().sum() / len(target)
 
 
-def num_chunks(rows: int, minibatch: int) -> int:
-    """Minibatches in one pass: nearly equal ones of about the wanted size, 0 for the whole."""
-    return max(1, round(rows / minibatch)) if minibatch else 1
+def num_chunks(rows: int, minibatch: int, least: int) -> int:
+    """Minibatches in one pass: nearly equal ones of about the wanted size, 0 for the whole.
+
+    A small batch is cut into ``least``: else a run that begins with small batches makes few steps.
+    """
+    return max(min(least, rows), round(rows / minibatch)) if minibatch else 1
 
 
 def fit_epochs(
@@ -51,6 +54,7 @@ def fit_epochs(
     *,
     epochs: int,
     minibatch: int,
+    least_minibatches: int,
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
@@ -62,6 +66,7 @@ def fit_epochs(
         target: What all of them regress to, ``[N]``.
         epochs: Passes.
         minibatch: Rows of one step, about.
+        least_minibatches: In one pass.
         learning_rate: Of all of them.
         max_grad_norm: Of each of them; 0: not limited.
         generator: Draws the order.
@@ -69,7 +74,7 @@ def fit_epochs(
     Returns:
         Mean loss of each network in the last pass.
     """
-    count = num_chunks(len(target), minibatch)
+    count = num_chunks(len(target), minibatch, least_minibatches)
     totals = torch.zeros(len(jobs))
     for _ in range(epochs):
         order = torch.randperm(len(target), generator=generator)

@@ -38,6 +38,7 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "critics": (1, 2),
     "critic_epochs": (1, math.inf),
     "critic_minibatch": (1, math.inf),
+    "least_minibatches": (1, math.inf),
     "fit_steps": (1, math.inf),
     "q_fit_extra_steps": (0, math.inf),
     "value_fit_extra_steps": (0, math.inf),
@@ -163,6 +164,8 @@ class OnPolicyHyper:
     """Q and V: ``epochs``: passes over the batch; ``threshold``: steps until the loss is low."""
     critic_epochs: int
     """Passes over the batch in the rule ``epochs``."""
+    least_minibatches: int
+    """Least number of minibatches in a pass over a small batch, of Q and V and of the policy."""
     critic_minibatch: int
     """Steps in one minibatch of Q and V."""
     fit_steps: int

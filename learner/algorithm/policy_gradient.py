@@ -163,7 +163,7 @@ def improve(
         learning_rate: Of Adam.
         generator: Draws the order, unless the whole batch is one step.
     """
-    count = num_chunks(len(data.obs), hyper.policy_minibatch)
+    count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.least_minibatches)
     totals, kl, passes = torch.zeros(2), 0.0, 0
     while passes < hyper.policy_epochs and kl <= hyper.kl_stop:
         passes += 1

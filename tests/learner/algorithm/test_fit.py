@@ -40,6 +40,7 @@ def epochs(
         target,
         epochs=count,
         minibatch=32,
+        least_minibatches=1,
         learning_rate=rate,
         max_grad_norm=0.0,
         generator=torch.Generator().manual_seed(5),
@@ -83,11 +84,13 @@ def test_company_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "minibatch", "chunks"), [(2048, 256, 8), (2100, 256, 8), (100, 256, 1), (99, 0, 1)]
-)
-def test_minibatches_are_nearly_equal(rows: int, minibatch: int, chunks: int) -> None:
+    ("rows", "minibatch", "least", "chunks"),
+    [(2048, 256, 1, 8), (2100, 256, 8, 8), (100, 256, 1, 1), (100, 256, 8, 8), (5, 4, 8, 5),
+     (99, 0, 8, 1)],
+)  # fmt: skip
+def test_minibatches_are_nearly_equal(rows: int, minibatch: int, least: int, chunks: int) -> None:
     """A short last minibatch would count as much as a whole one."""
-    assert num_chunks(rows, minibatch) == chunks
+    assert num_chunks(rows, minibatch, least) == chunks
 
 
 @pytest.mark.parametrize(
