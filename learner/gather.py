@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from a2s.learner.ledger import Accounts, Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.roster import Member, Roster
+from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,
@@ -44,7 +45,7 @@ class Terms:
         spaces: Its spaces.
         num_envs: Environments of an actor that was not told otherwise.
         clock: ``lockstep`` or ``async``.
-        max_policy_lag: Versions that a segment may be behind.
+        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
         seed: Of the run.
         num_actors: Actors that the first batch waits for.
     """
@@ -55,7 +56,7 @@ class Terms:
     spaces: Spaces
     num_envs: int
     clock: Clock
-    max_policy_lag: int
+    max_policy_lag: int | None
     seed: int
     num_actors: int
 
@@ -68,6 +69,7 @@ class Gather:
         ledger: Where answers are written down.
         metrics: Where they are counted.
         on_event: Told joins, leaves and refusals, with the lock held.
+        keep: Stores an accepted segment before it is written down and acknowledged.
     """
 
     def __init__(
@@ -76,11 +78,13 @@ class Gather:
         ledger: Ledger,
         metrics: LearnerMetrics,
         on_event: Callable[..., None],
+        keep: Callable[[Segment], None],
     ) -> None:
         self._terms = terms
         self._ledger = ledger
         self._metrics = metrics
         self._on_event = on_event
+        self._keep = keep
         self._roster = Roster(terms.seed, terms.generation)
         self._changed = threading.Condition()
         self._notice: Notice | None = None
@@ -89,6 +93,7 @@ class Gather:
         self._pending_steps = 0
         self._is_complete = False
         self._published_s = 0.0
+        self._failure: RunDirectoryError | None = None
 
     # What the bus calls.
 
@@ -121,7 +126,11 @@ class Gather:
         )
 
     def segment(self, segment: Segment) -> Ack:
-        """Judge a segment; an accepted one is written down before this returns."""
+        """Judge a segment; an accepted one is stored and written down before this returns.
+
+        Raises:
+            RunDirectoryError: It cannot be stored.
+        """
         with self._changed:
             if self._ledger.has(segment.actor, segment.seq):
                 return self._ack("duplicate", "answered before", segment)
@@ -134,6 +143,8 @@ class Gather:
             if self._ledger.leaps(segment.actor, segment.seq):
                 return self.refuse_segment("future", f"seq {segment.seq} is not the next")
             verdict, cause, reason = self._judge(segment, member)
+            if verdict == "accepted":
+                self._store(segment)
             self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
             if verdict == "refused":
                 self._metrics.refused.labels(message="segment", reason=cause).inc()
@@ -192,12 +203,17 @@ class Gather:
         Returns:
             Its segments, each with the slot of its actor, by slot, environment and number; empty
             when told not to proceed.
+
+        Raises:
+            RunDirectoryError: A segment could not be stored.
         """
         with self._changed:
-            while (missing := self._missing()) != "":
+            while self._failure is None and (missing := self._missing()) != "":
                 if not proceed(missing):
                     return []
                 self._changed.wait(timeout=_WAIT_S)
+            if self._failure is not None:
+                raise self._failure
             pending, self._pending, self._pending_steps = self._pending, [], 0
         pending.sort(key=lambda pair: (pair[0], pair[1].env, pair[1].seq))
         return pending
@@ -228,6 +244,15 @@ class Gather:
         """Steps that wait to be learned from."""
         return self._pending_steps
 
+    def _store(self, segment: Segment) -> None:
+        """Store a segment; what cannot be stored is not answered, and ends the learner's loop."""
+        try:
+            self._keep(segment)
+        except RunDirectoryError as error:
+            self._failure = error
+            self._changed.notify_all()
+            raise
+
     def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
         generation = self._terms.generation
         if segment.generation != generation or member is None:
@@ -254,7 +279,7 @@ class Gather:
         if segment.epoch != notice.epoch:
             return f"epoch {segment.epoch}, this is {notice.epoch}"
         lag, allowed = notice.version - segment.weights_version, self._terms.max_policy_lag
-        if lag > allowed:
+        if allowed is not None and lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
         if self._pending_steps >= _MOST_BATCHES * self._batch_steps:
             return "more waits than can be learned from in time"

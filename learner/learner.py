@@ -4,22 +4,19 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from a2s.learner import checkpoint
-from a2s.learner.algorithm.on_policy import OnPolicy
-from a2s.learner.algorithm.recovery import RecoveryDecision
-from a2s.learner.algorithm.update_stats import UpdateStats
-from a2s.learner.batching import to_batch
 from a2s.learner.configuration import Configuration
-from a2s.learner.export import export
 from a2s.learner.gather import Gather, Terms
+from a2s.learner.learning import Learning, Outcome
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.on_policy_learning import OnPolicyLearning
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Report, Standing
@@ -33,13 +30,14 @@ from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)
 
-_POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
-_TESTED = ("draw", "probability", "r", "r_best")
-UPDATE_COLUMNS = (
-    *_POSITION,
-    *(field.name for field in fields(UpdateStats) if field.name != "recovery"),
-    *(f"recovery_{name}" for name in _TESTED),
-)
+POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
+
+
+def make_learning(
+    configuration: Configuration, spaces: Spaces, metrics: LearnerMetrics
+) -> Learning:
+    """The variant that a run is configured for."""
+    return OnPolicyLearning(spaces, configuration.hyper, configuration.run.seed, metrics)
 
 
 class Learner:
@@ -69,15 +67,15 @@ class Learner:
         view: View,
         resume: bool,
     ) -> None:
-        self._run, self._hyper = configuration.run, configuration.hyper
+        self._run = configuration.run
         self._metrics, self._view = metrics, view
         torch.set_num_threads(self._run.threads)
         self._at = Standing()
-        self._directory = RunDirectory(path, UPDATE_COLUMNS, self._at.wall_s)
         self._ledger = Ledger(path / "segments.log")
-        self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, self._hyper, self._run.seed)
-        self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
-        self._plays_on = self._run.clock == "lockstep" and self._hyper.max_policy_lag > 0
+        self._learning = make_learning(configuration, spaces, metrics)
+        columns = (*POSITION, *self._learning.columns)
+        self._directory = RunDirectory(path, columns, self._at.wall_s)
+        self._plays_on = self._run.clock == "lockstep" and self._learning.max_policy_lag != 0
         self._first_version = 0
         self._record = EpisodeRecord()
         self._graph = self._latest = b""
@@ -95,11 +93,13 @@ class Learner:
             spaces=spaces,
             num_envs=self._run.envs,
             clock=self._run.clock,
-            max_policy_lag=self._hyper.max_policy_lag,
+            max_policy_lag=self._learning.max_policy_lag,
             seed=self._run.seed,
             num_actors=self._run.n,
         )
-        self._gather = Gather(terms, self._ledger, metrics, self._directory.event)
+        self._gather = Gather(
+            terms, self._ledger, metrics, self._directory.event, self._learning.keep
+        )
         self._publisher = Publisher(bus, keys)
         self._report = Report(self._run, self._at, self._record, self._gather)
         self._service = Service(bus, keys, self._gather, self._report.status)
@@ -130,11 +130,11 @@ class Learner:
             self._keep_best()
             if self._plays_on:
                 self._publish()
-            stats = self._update(segments)
-            self._recover(stats)
-            if not self._plays_on or stats.recovered:
+            outcome = self._learn(segments)
+            self._recover(outcome)
+            if not self._plays_on or outcome.recovered:
                 self._publish()
-            self._write(stats)
+            self._write(outcome)
             if self._at.updates % self._run.checkpoint_every_updates == 0:
                 self._checkpoint()
             if self._is_kept():
@@ -166,16 +166,14 @@ class Learner:
                 )
         return batch
 
-    def _update(self, segments: list[Segment]) -> UpdateStats:
+    def _learn(self, segments: list[Segment]) -> Outcome:
         made_by = max(segment.weights_version for segment in segments)
         is_behind = made_by < self._first_version
         with self._metrics.update_seconds.labels(phase="compute").time():
-            stats = self._algorithm.update(
-                to_batch(segments), self._progress(), is_behind=is_behind
-            )
-        self._at.updates = self._algorithm.updates
+            outcome = self._learning.learn(segments, self._progress(), is_behind=is_behind)
+        self._at.updates = self._learning.updates
         self._first_version = self._at.version + 1
-        return stats
+        return outcome
 
     def _progress(self) -> float:
         """Fraction of the run that is done, 0..1."""
@@ -191,14 +189,14 @@ class Learner:
 
     def _is_kept(self) -> bool:
         every = self._run.keep_policy_every_updates
-        return every > 0 and self._algorithm.updates % every == 0
+        return every > 0 and self._learning.updates % every == 0
 
-    def _recover(self, stats: UpdateStats) -> None:
+    def _recover(self, outcome: Outcome) -> None:
         """Broadcast and write down a recovery; the restored networks are published next."""
-        if not stats.recovered:
+        if not outcome.recovered:
             return
         self._at.epoch += 1
-        decision = stats.recovery
+        decision = outcome.decision
         assert decision is not None
         event = RecoveryEvent(
             id=self._at.epoch,
@@ -208,7 +206,7 @@ class Learner:
             probability=decision.probability,
             r=_number(decision.r),
             r_best=_number(decision.r_best),
-            restored_version=stats.restored_version,
+            restored_version=outcome.restored_version,
             weights_version=self._at.version + 1,
         )
         self._directory.event("recovery", **asdict(event))
@@ -217,8 +215,7 @@ class Learner:
 
     def _export(self, version: int) -> bytes:
         metadata = {"env": self._run.env, "algo": self._run.algo}
-        suggester = self._algorithm.suggester(*self._bounds, self._progress())
-        return export(suggester, version, metadata)
+        return self._learning.graph(version, self._progress(), metadata)
 
     def _publish(self) -> None:
         """Export the networks; while the run goes on, serve and announce them."""
@@ -226,45 +223,34 @@ class Learner:
         with self._metrics.update_seconds.labels(phase="publish").time():
             self._graph = self._export(self._at.version)
             if self._at.env_steps < self._run.total_steps:
-                batch_steps, quota = self._quota()
+                quota = self._learning.quota(self._gather.num_envs)
                 notice = self._publisher.prepare(
                     self._graph,
                     generation=self._at.generation,
                     epoch=self._at.epoch,
                     version=self._at.version,
-                    quota=quota,
+                    quota=(quota.steps, quota.episodes),
                 )
-                self._gather.publish(notice, batch_steps)
+                self._gather.publish(notice, quota.batch_steps)
                 self._publisher.announce()
         self._metrics.published.inc()
         self._metrics.weights_version.set(self._at.version)
         self._metrics.weights_bytes.set(len(self._graph))
         self._metrics.epoch.set(self._at.epoch)
 
-    def _quota(self) -> tuple[int, tuple[int, int]]:
-        """Size of the next batch, and each environment's share of steps and whole episodes."""
-        hyper, num_envs = self._hyper, self._gather.num_envs
-        steps = hyper.batch_steps_at(self._algorithm.updates)
-        episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
-        return steps, (max(1, math.ceil(steps / num_envs)), episodes)
-
-    def _write(self, stats: UpdateStats) -> None:
-        self._metrics.show_update(stats)
+    def _write(self, outcome: Outcome) -> None:
         self._metrics.show_episodes(self._record.returns, self._record.lengths)
-        row = asdict(stats)
-        decision: RecoveryDecision | None = stats.recovery
-        tested = {f"recovery_{n}": getattr(decision, n, None) for n in _TESTED}
         position = (
-            self._algorithm.updates, round(self._at.wall_s(), 3), self._at.env_steps,
+            self._learning.updates, round(self._at.wall_s(), 3), self._at.env_steps,
             self._at.version, self._at.epoch,
         )  # fmt: skip
-        self._directory.update(row | tested | dict(zip(_POSITION, position, strict=True)))
-        self._show(stats.kl)
+        self._directory.update({**outcome.row, **dict(zip(POSITION, position, strict=True))})
+        self._show(outcome.kl)
 
     def _checkpoint(self) -> None:
         self._latest = self._export(max(self._at.version, self._first_version))
         self._directory.policy("latest", self._latest)
-        tensors, scalars = self._algorithm.state()
+        tensors, scalars = self._learning.state()
         state = {
             "algorithm": scalars,
             "version": self._at.version,
@@ -275,7 +261,7 @@ class Learner:
         try:
             with self._metrics.checkpoint_seconds.time():
                 folder = self._directory.path / "checkpoints"
-                _, size = checkpoint.save(folder, self._algorithm.updates, tensors, state)
+                _, size = checkpoint.save(folder, self._learning.updates, tensors, state)
         except RunDirectoryError as error:
             self._metrics.checkpoint_failures.inc()
             logger.warning("%s; going on without it", error)  # the next one may succeed
@@ -285,10 +271,10 @@ class Learner:
 
     def _resume(self) -> None:
         tensors, state = checkpoint.load(self._directory.path / "checkpoints")
-        self._algorithm.load(tensors, state["algorithm"])
+        self._learning.load(tensors, state["algorithm"])
         self._at.version, self._at.epoch = state["version"], state["epoch"]
         self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
-        self._at.updates = self._algorithm.updates
+        self._at.updates = self._learning.updates
         self._directory.keep_updates(self._at.updates)
         for episode_return, length in self._directory.read_episodes():
             self._record.add(episode_return, length)
@@ -299,6 +285,7 @@ class Learner:
         write_summary(self._directory.path, summary)
         self._directory.close()
         self._ledger.close()
+        self._learning.close()
         return summary
 
     def _show(self, kl: float | None = None) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import zenoh
 
-from a2s.protocol.errors import UnreachableError, UsageError
+from a2s.protocol.errors import A2SError, UnreachableError, UsageError
 from a2s.protocol.transport import Answer, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
@@ -195,6 +195,8 @@ class ZenohBus:
 def _logged(key: str) -> Iterator[None]:
     try:
         yield
+    except A2SError as error:
+        logger.error("%s", error)  # noqa: TRY400  # its one line says all
     except Exception:  # zenoh's thread would print it and go on; it belongs in our log
         logger.exception("handler failed key=%s", key)
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from a2s.learner import on_policy_learning
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
-from a2s.learner.learner import UPDATE_COLUMNS
+from a2s.learner.learner import POSITION
 from a2s.learner.presets import PRESETS, Choice
 
 REPO = Path(__file__).parents[2]
@@ -128,7 +129,10 @@ def test_every_deviation_of_modern_from_the_paper_has_its_reason() -> None:
 
 def test_every_column_of_updates_csv_is_explained_once() -> None:
     """In the order of the file."""
-    assert tuple(_first_column(_sections()["6"])) == UPDATE_COLUMNS
+    assert tuple(_first_column(_sections()["6"])) == (
+        *POSITION,
+        *on_policy_learning.COLUMNS,
+    )
 
 
 def test_lines_outside_tables_are_short() -> None:

@@ -11,6 +11,7 @@ import pytest
 from a2s.learner.gather import Gather, Terms
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
+from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Spaces, Welcome
 
 SPACES = Spaces(
@@ -37,7 +38,16 @@ class _Run:
             self.ledger,
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
+            self.keep,
         )
+        self.kept: list[Segment] = []
+        self.disk_is_full = False
+
+    def keep(self, segment: Segment) -> None:
+        """Store a segment, unless the disk is full."""
+        if self.disk_is_full:
+            raise RunDirectoryError("replay: no space left on device")
+        self.kept.append(segment)
 
     def join(self, actor: str, num_envs: int = 1) -> Welcome:
         hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES)
@@ -105,6 +115,28 @@ def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:
     assert verdicts == ["accepted", "duplicate", "duplicate"]
     assert run.gather.accepted_steps == 4
     assert len(run.batch()) == 1
+
+
+def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(run: _Run) -> None:
+    """An actor that got no answer keeps its segment."""
+    run.join("a")
+    for segment in (_segment(), _segment(), _segment(seq=1, epoch=1)):
+        run.gather.segment(segment)
+    assert [segment.seq for segment in run.kept] == [0]
+    run.disk_is_full = True
+    with pytest.raises(RunDirectoryError, match="no space left"):
+        run.gather.segment(_segment(seq=2))
+    assert run.ledger.accounts().accepted == 1
+    with pytest.raises(RunDirectoryError, match="no space left"):
+        run.gather.next_batch(lambda _: True)
+
+
+def test_any_age_may_be_allowed(tmp_path: Path, make_notice: MakeNotice) -> None:
+    """Off-policy nothing is too old."""
+    run = _Run(tmp_path, max_policy_lag=None)
+    run.gather.publish(make_notice(generation=2, version=500, quota_steps=4), 8)
+    run.join("a")
+    assert run.gather.segment(_segment(weights_version=1)).verdict == "accepted"
 
 
 def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota(

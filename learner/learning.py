@@ -1,0 +1,101 @@
+"""What the learner's loop asks of a variant of the algorithm."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+from torch import Tensor
+
+from a2s.learner.algorithm.recovery import RecoveryDecision
+from a2s.protocol.messages import Segment
+
+
+class Quota(NamedTuple):
+    """What is played with one version of the weights.
+
+    Attributes:
+        batch_steps: Environment steps of the next batch.
+        steps: Share of every environment, steps.
+        episodes: Share of every environment, whole episodes.
+    """
+
+    batch_steps: int
+    steps: int
+    episodes: int
+
+
+class Outcome(NamedTuple):
+    """What came of learning from a batch.
+
+    Attributes:
+        row: For ``updates.csv``, the variant's own columns.
+        kl: How far the policy moved, nats; ``None`` where it is not measured.
+        decision: The test of equation 5; ``None`` where recovery is off.
+        restored_version: Version of the networks that were restored, -1 if none were.
+    """
+
+    row: Mapping[str, object]
+    kl: float | None = None
+    decision: RecoveryDecision | None = None
+    restored_version: int = -1
+
+    @property
+    def recovered(self) -> bool:
+        """Whether the best networks were restored."""
+        return self.restored_version >= 0
+
+
+class Learning(Protocol):
+    """A variant: it makes graphs to act by, and learns from what was played.
+
+    Attributes:
+        columns: Of ``updates.csv``, its own ones.
+        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+    """
+
+    columns: tuple[str, ...]
+    max_policy_lag: int | None
+
+    @property
+    def updates(self) -> int:
+        """Updates made."""
+        ...
+
+    def quota(self, num_envs: int) -> Quota:
+        """What to play next with so many environments."""
+        ...
+
+    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
+        """The present way of acting as ONNX bytes, where ``progress`` of the run is done."""
+        ...
+
+    def keep(self, segment: Segment) -> None:
+        """Store a segment before it is acknowledged, where the variant stores any.
+
+        Raises:
+            RunDirectoryError: It cannot be written.
+        """
+        ...
+
+    def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
+        """Learn after a batch was played, by networks one update older when ``is_behind``.
+
+        Raises:
+            A2SError: The networks are no longer finite.
+        """
+        ...
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors, and numbers that survive JSON: everything that `load` needs to go on."""
+        ...
+
+    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
+        """Go back to a state.
+
+        Raises:
+            RunDirectoryError: It does not fit.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close files."""
+        ...

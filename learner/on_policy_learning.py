@@ -1,0 +1,83 @@
+"""The on-policy variant: every batch is learned from once."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
+from a2s.learner.algorithm.on_policy import OnPolicy
+from a2s.learner.algorithm.update_stats import UpdateStats
+from a2s.learner.batching import to_batch
+from a2s.learner.export import export
+from a2s.learner.learning import Outcome, Quota
+from a2s.learner.metrics import LearnerMetrics
+from a2s.protocol.messages import Segment, Spaces
+
+_TESTED = ("draw", "probability", "r", "r_best")
+COLUMNS = (
+    *(field.name for field in fields(UpdateStats) if field.name != "recovery"),
+    *(f"recovery_{name}" for name in _TESTED),
+)
+
+
+class OnPolicyLearning:
+    """Algorithm 1 of the paper, or A2C, behind `a2s.learner.learning.Learning`.
+
+    Args:
+        spaces: Of the environment.
+        hyper: Hyperparameters.
+        seed: Of the run.
+        metrics: Where updates are shown.
+    """
+
+    columns = COLUMNS
+
+    def __init__(
+        self, spaces: Spaces, hyper: OnPolicyHyper, seed: int, metrics: LearnerMetrics
+    ) -> None:
+        self._hyper = hyper
+        self._metrics = metrics
+        self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
+        self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        self.max_policy_lag: int | None = hyper.max_policy_lag
+
+    @property
+    def updates(self) -> int:
+        """Batches learned from."""
+        return self._algorithm.updates
+
+    def quota(self, num_envs: int) -> Quota:
+        """An equal share of the next batch for each environment."""
+        hyper = self._hyper
+        steps = hyper.batch_steps_at(self._algorithm.updates)
+        episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
+        return Quota(steps, max(1, math.ceil(steps / num_envs)), episodes)
+
+    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
+        """Suggester with Q, as soon as that may choose."""
+        return export(self._algorithm.suggester(*self._bounds, progress), version, dict(metadata))
+
+    def keep(self, segment: Segment) -> None:
+        """Nothing is stored: a batch is forgotten once it was learned from."""
+
+    def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
+        """Make one update, or a recovery."""
+        stats = self._algorithm.update(to_batch(segments), progress, is_behind=is_behind)
+        self._metrics.show_update(stats)
+        tested = {f"recovery_{n}": getattr(stats.recovery, n, None) for n in _TESTED}
+        return Outcome(asdict(stats) | tested, stats.kl, stats.recovery, stats.restored_version)
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Of the algorithm."""
+        return self._algorithm.state()
+
+    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
+        """Go back to a state."""
+        self._algorithm.load(tensors, scalars)
+
+    def close(self) -> None:
+        """There is no file."""
