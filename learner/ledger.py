@@ -89,6 +89,11 @@ class Ledger:
         self._duplicates += 1
         return True
 
+    def knows(self, actor: str, seq: int) -> bool:
+        """Whether this segment was answered; counts nothing."""
+        sender = self._senders.get(actor)
+        return sender is not None and sender.has(seq)
+
     def leaps(self, actor: str, seq: int) -> bool:
         """Whether a number is so far from those seen that it cannot be the actor's next."""
         sender = self._senders.get(actor)

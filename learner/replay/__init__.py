@@ -1,0 +1,1 @@
+"""The replay: every accepted transition of a run, durable, sampled and served."""

@@ -1,0 +1,164 @@
+"""Making a replay in a directory, and opening the one that is there."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from a2s.learner.replay import description
+from a2s.learner.replay.description import Description
+from a2s.learner.replay.index import Index
+from a2s.learner.replay.priorities import Priorities
+from a2s.learner.replay.records import Records
+from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.resize import copy_newest
+from a2s.learner.replay.ring import Ring
+from a2s.learner.replay.store import Store, lock
+from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.messages import Spaces
+
+
+def create(
+    path: Path,
+    env_id: str,
+    spaces: Spaces,
+    capacity: int,
+    *,
+    batch_size: int = 1,
+    alpha: float = 0.6,
+) -> Replay:
+    """Make a replay; all the room that it will need on the disk is taken now.
+
+    Args:
+        path: A directory that holds no replay yet.
+        env_id: Environment.
+        spaces: Its spaces.
+        capacity: Transitions that it holds; the oldest are evicted.
+        batch_size: The largest batch that will be sampled.
+        alpha: Exponent of the priorities.
+
+    Raises:
+        UsageError: The capacity is below one batch.
+        RunDirectoryError: There is a replay already, no room, or no permission.
+    """
+    _require_capacity(capacity, batch_size)
+    about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=1)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunDirectoryError(f"replay {path}: {error.strerror}") from None
+    lock_file = lock(path)
+    try:
+        if (path / description.NAME).exists():
+            raise RunDirectoryError(f"replay {path}: is there already; resume, or name another run")
+        store = Store.make(path, about)
+        index = store.index(0)
+        about.write(path)
+    except BaseException:
+        os.close(lock_file)
+        raise
+    ring = Ring(about.layout, capacity, store.rows)
+    priorities = Priorities(store.priority, alpha)
+    return Replay(about, ring, priorities, store=store, index=index, lock_file=lock_file)
+
+
+def open_existing(
+    path: Path,
+    *,
+    env_id: str | None = None,
+    spaces: Spaces | None = None,
+    capacity: int | None = None,
+    batch_size: int = 1,
+    is_known: Callable[[str, int], bool] | None = None,
+    alpha: float = 0.6,
+) -> Replay:
+    """Open a replay to go on with it; every live row is compared with its checksum.
+
+    Args:
+        path: The directory.
+        env_id: Environment that it must be of.
+        spaces: Spaces that it must have.
+        capacity: Another capacity to give it, the newest rows are kept.
+        batch_size: The largest batch that will be sampled.
+        is_known: Whether the segment with this actor and number was written into the ledger.
+            Those at the end that were not were not acknowledged either, and are taken back.
+        alpha: Exponent of the priorities.
+
+    Raises:
+        UsageError: The capacity is below one batch.
+        RunDirectoryError: There is none, it is damaged, of another environment or in use, or
+            there is no room for another capacity; nothing was destroyed.
+    """
+    about = description.read(path)
+    if env_id is not None and spaces is not None:
+        about.require(path, env_id, spaces)
+    capacity = about.capacity if capacity is None else capacity
+    _require_capacity(capacity, batch_size)
+    lock_file = lock(path)
+    try:
+        store = Store(path, about, writable=True)
+        ring = Ring(about.layout, about.capacity, store.rows)
+        records, taken_back = store.restore(ring, is_known)
+        if capacity == about.capacity:
+            index = store.index(records.num_bytes)
+        else:
+            about = replace(about, capacity=capacity, files=about.files + 1)
+            store, ring, index = _resized(path, about, store, ring, records)
+    except BaseException:
+        os.close(lock_file)
+        raise
+    priorities = Priorities(store.priority, alpha)
+    priorities.restore(ring.begin, ring.end)
+    return Replay(
+        about,
+        ring,
+        priorities,
+        store=store,
+        index=index,
+        lock_file=lock_file,
+        torn_records=records.torn,
+        taken_back=taken_back,
+    )
+
+
+def look_at(path: Path, *, alpha: float = 0.6) -> Replay:
+    """Open a replay to read it, also while a learner writes to it: it is seen as it is now.
+
+    Nothing in the directory is changed; what the learner inserts later is not seen.
+
+    Raises:
+        RunDirectoryError: There is none, or it is damaged.
+    """
+    about = description.read(path)
+    store = Store(path, about, writable=False)
+    ring = Ring(about.layout, about.capacity, store.rows)
+    records, _ = store.restore(ring, None)
+    priorities = Priorities(store.priority.copy(), alpha)
+    priorities.restore(ring.begin, ring.end)
+    return Replay(about, ring, priorities, store=store, torn_records=records.torn)
+
+
+def _resized(
+    path: Path, about: Description, store: Store, ring: Ring, records: Records
+) -> tuple[Store, Ring, Index]:
+    target = Store.make(path, about)
+    copied = Ring(about.layout, about.capacity, target.rows)
+    index = target.index(0)
+    packed = copy_newest(ring, records.live(ring.capacity), copied)
+    index.append(packed, copied.begin)
+    row = np.arange(copied.begin, copied.end)
+    target.priority[row % len(target.priority)] = store.priority[row % len(store.priority)]
+    target.flush()
+    index.flush()
+    about.write(path)  # from here on the new files count
+    store.delete()
+    return target, copied, index
+
+
+def _require_capacity(capacity: int, batch_size: int) -> None:
+    if capacity < batch_size:
+        raise UsageError(
+            f"replay capacity: found {capacity}, expected at least one batch of {batch_size}"
+        )

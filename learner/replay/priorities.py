@@ -1,0 +1,104 @@
+"""Prioritised replay: which rows are drawn more often, and by how much less they count then.
+
+Source: Schaul et al. 2016, "Prioritized Experience Replay" (arXiv:1511.05952), section 3.3 and
+3.4, proportional variant. Differs: weights are divided by the highest of the batch.
+"""
+
+import numpy as np
+
+from a2s.learner.replay.sum_tree import Floats, SumTree
+from a2s.learner.replay.transitions import Rows
+from a2s.protocol.messages import Array
+
+_EPSILON = 1e-6
+
+
+class Priorities:
+    """The priority of every slot of a ring, and draws in proportion to it.
+
+    Nothing but the array is kept up to date until the first draw: whoever draws uniformly does not
+    pay for a tree.
+
+    Args:
+        priority: Where they lie, float32 ``[S]`` for S slots.
+        alpha: Exponent: 0 is uniform, 1 fully proportional.
+    """
+
+    def __init__(self, priority: Array, alpha: float) -> None:
+        self._priority = priority
+        self._alpha = alpha
+        self._tree: SumTree | None = None
+        self._highest = 1.0
+
+    def restore(self, begin: int, end: int) -> None:
+        """Take up the priorities of the rows from ``begin`` to below ``end``.
+
+        What is not a number above 0 counts as 1: priorities have no checksum.
+        """
+        slots = np.arange(begin, end) % len(self._priority)
+        found = self._priority[slots]
+        bad = ~(np.isfinite(found) & (found >= 0))
+        if bad.any():
+            self._priority[slots[bad]] = 1.0
+        self._highest = max(1.0, float(self._priority[slots].max(initial=0.0)))
+
+    def admit(self, begin: int, end: int) -> None:
+        """Give new rows, which lie in one stretch, the highest priority so far."""
+        slot = begin % len(self._priority)
+        self._priority[slot : slot + end - begin] = self._highest
+        if self._tree is not None:
+            value = (self._highest + _EPSILON) ** self._alpha
+            self._tree.assign_range(slot, slot + end - begin, value)
+
+    def evict(self, begin: int, end: int) -> None:
+        """Rows from ``begin`` to below ``end`` can no longer be drawn."""
+        if self._tree is None or begin == end:
+            return
+        size = len(self._priority)
+        first, last = begin % size, (end - 1) % size + 1
+        if first < last:
+            self._tree.assign_range(first, last, 0.0)
+        else:
+            self._tree.assign_range(first, size, 0.0)
+            self._tree.assign_range(0, last, 0.0)
+
+    def draw(
+        self, begin: int, end: int, batch_size: int, beta: float, rng: np.random.Generator
+    ) -> tuple[Rows, Array]:
+        """Draw from the live rows, ``begin`` to below ``end``.
+
+        Args:
+            begin: The oldest.
+            end: The newest and one.
+            batch_size: B.
+            beta: How far the weights make up for the uneven draw: 0 not, 1 fully.
+            rng: Source of the draw.
+
+        Returns:
+            Rows, int64 ``[B]``, and their weights ``(chance * (end - begin)) ** -beta``, divided
+            by the highest, float32 ``[B]``.
+        """
+        size = len(self._priority)
+        if self._tree is None:
+            slots = np.arange(begin, end) % size
+            leaves = np.zeros(size)
+            leaves[slots] = self._leaf(self._priority[slots].astype(np.float64))
+            self._tree = SumTree(leaves)
+        slot = self._tree.draw(batch_size, rng)
+        leaf = self._tree.leaves.take(slot)
+        weight = (leaf / leaf.min()) ** -beta
+        return end - 1 - (end - 1 - slot) % size, weight.astype(np.float32)
+
+    def assign(self, row: Rows, priority: Floats) -> None:
+        """Set the priorities of live rows, ``[B]``, for example their absolute TD errors."""
+        slot = row % len(self._priority)
+        self._highest = max(self._highest, float(priority.max(initial=0.0)))
+        self._priority[slot] = priority
+        if self._tree is not None:
+            # As it will be read again from the file: a resumed run draws the same.
+            rounded = priority.astype(np.float32).astype(np.float64)
+            self._tree.assign(slot, self._leaf(rounded))
+
+    def _leaf(self, priority: Floats) -> Floats:
+        leaf: Floats = (priority + _EPSILON) ** self._alpha
+        return leaf

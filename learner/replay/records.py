@@ -1,0 +1,130 @@
+"""Reading an index: which rows count after whatever has happened to the learner."""
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from a2s.learner.replay.record import (
+    CONTINUES,
+    RECORD_BYTES,
+    Columns,
+    Record,
+    columns,
+    is_whole,
+    unpack,
+)
+from a2s.learner.replay.ring import longest_piece
+from a2s.protocol.errors import RunDirectoryError
+
+
+class Records:
+    """The records of a replay, oldest first.
+
+    Args:
+        path: The file of the index.
+
+    Attributes:
+        torn: Records that a kill had torn, not counted among the rest.
+
+    Raises:
+        RunDirectoryError: The file cannot be read, or a record is damaged and not merely torn.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise RunDirectoryError(f"{path}: {error.strerror}") from None
+        whole = [is_whole(memoryview(data), i) for i in range(len(data) // RECORD_BYTES)]
+        while whole and not whole[-1]:
+            whole.pop()
+        if not all(whole):
+            raise self._damaged(f"the checksum of record {whole.index(False)} does not match")
+        self._data = data
+        self._begin, self._end = 0, len(whole)
+        numbers = self.columns
+        gap = (numbers["row"] + numbers["steps"])[:-1] != numbers["row"][1:]
+        if gap.any():
+            raise self._damaged(f"record {int(gap.argmax()) + 1} does not follow the one before")
+        self.torn = -(-len(data) // RECORD_BYTES) - self._end
+        self._cut_unfinished()
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    @property
+    def columns(self) -> Columns:
+        """The numbers of all records."""
+        return columns(self._data[self._begin * RECORD_BYTES : self._end * RECORD_BYTES])
+
+    @property
+    def num_bytes(self) -> int:
+        """The part of the file that counts."""
+        return self._end * RECORD_BYTES
+
+    def live(self, capacity: int) -> list[Record]:
+        """Read the records of which a row is among the newest ``capacity``."""
+        if not len(self):
+            return []
+        ends = self.columns["row"] + self.columns["steps"]
+        first = int(ends.searchsorted(ends[-1] - capacity, side="right"))
+        return [unpack(self._data, i) for i in range(self._begin + first, self._end)]
+
+    def cut(self, is_known: Callable[[str, int], bool]) -> int:
+        """Take back the segments at the end that were not written down elsewhere.
+
+        Args:
+            is_known: Whether the segment with this actor and number was.
+
+        Returns:
+            Rows taken back.
+        """
+        rows = 0
+        while len(self) and not is_known(self._last.actor, self._last.seq):
+            rows += self._last.steps
+            self._end -= 1
+        return rows
+
+    def verify(self, capacity: int, rows: Callable[[Record], memoryview]) -> None:
+        """Compare the live rows with their checksums; torn ones at the end are cut.
+
+        Args:
+            capacity: Of the replay.
+            rows: Gives the bytes of the rows of a record.
+
+        Raises:
+            RunDirectoryError: Rows are damaged, and newer ones are not.
+        """
+        if not len(self):
+            return
+        reach = self._last.end - capacity - 2 * longest_piece(capacity)
+        while len(self) and not _match(self._last, rows):
+            self._end -= 1
+            self.torn += 1
+        self._cut_unfinished()
+        # What was written after these rows may lie over them, if much of it was cut.
+        self._begin += int(np.count_nonzero(self.columns["row"] < reach))
+        for record in self.live(capacity):
+            if not _match(record, rows):
+                raise self._damaged(f"the checksum of the rows from {record.row} does not match")
+
+    @property
+    def _last(self) -> Record:
+        return unpack(self._data, self._end - 1)
+
+    def _cut_unfinished(self) -> None:
+        while len(self) and self._last.flags & CONTINUES:
+            self._end -= 1
+            self.torn += 1
+
+    def _damaged(self, what: str) -> RunDirectoryError:
+        return RunDirectoryError(
+            f"replay {self.path.parent}: {what}; move the directory away to begin another"
+        )
+
+
+def _match(record: Record, rows: Callable[[Record], memoryview]) -> bool:
+    return zlib.crc32(rows(record)) == record.rows_crc

@@ -1,0 +1,232 @@
+"""The replay of a run: the newest transitions of many episodes, to be sampled again and again."""
+
+import os
+import threading
+import zlib
+from typing import Self
+
+import numpy as np
+
+from a2s.learner.replay.description import Description
+from a2s.learner.replay.index import Index
+from a2s.learner.replay.priorities import Priorities
+from a2s.learner.replay.ring import Ring, num_slots
+from a2s.learner.replay.store import Store
+from a2s.learner.replay.sum_tree import Floats
+from a2s.learner.replay.transitions import Rows, Transitions
+from a2s.protocol.errors import MalformedMessageError, UsageError
+from a2s.protocol.messages import Array, Segment, Spaces
+
+
+class Replay:
+    """Transitions, inserted by segments and sampled one by one; any thread may call it.
+
+    Made by :func:`a2s.learner.replay.directory.create` and ``open_existing``, or
+    :meth:`in_memory`. Use::
+
+        replay.insert(segment)  # then write it into the ledger, then acknowledge it
+        batch = replay.sample(256, rng, n_step=3, gamma=0.99, prioritised=True)
+        replay.update_priorities(batch.row, np.abs(td_error))
+
+    Args:
+        about: Environment and capacity.
+        ring: The rows.
+        priorities: Their priorities.
+        store: The files; ``None`` in memory.
+        index: Where insertions are written down; ``None`` in memory, or to read only.
+        lock_file: Keeps other writers out; -1 without.
+        torn_records: Pieces of segments that a kill had torn, cut when the replay was opened.
+        taken_back: Rows cut then because the ledger did not know their segment.
+    """
+
+    def __init__(
+        self,
+        about: Description,
+        ring: Ring,
+        priorities: Priorities,
+        *,
+        store: Store | None = None,
+        index: Index | None = None,
+        lock_file: int = -1,
+        torn_records: int = 0,
+        taken_back: int = 0,
+    ) -> None:
+        self.about = about
+        self.torn_records = torn_records
+        self.taken_back = taken_back
+        self._ring = ring
+        self._priorities = priorities
+        self._store = store
+        self._index = index
+        self._lock_file = lock_file
+        self._is_writable = store is None or index is not None
+        self._guard = threading.Lock()
+
+    @classmethod
+    def in_memory(cls, env_id: str, spaces: Spaces, capacity: int, *, alpha: float = 0.6) -> Self:
+        """Make one that dies with this process.
+
+        Args:
+            env_id: Environment.
+            spaces: Its spaces.
+            capacity: Transitions that it holds; the oldest are evicted.
+            alpha: Exponent of the priorities.
+        """
+        about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=0)
+        slots = num_slots(capacity)
+        ring = Ring(about.layout, capacity, np.zeros((slots, about.layout.width), np.float32))
+        return cls(about, ring, Priorities(np.zeros(slots, np.float32), alpha))
+
+    def __len__(self) -> int:
+        return len(self._ring)
+
+    @property
+    def begin(self) -> int:
+        """Number of the oldest row that can be sampled."""
+        return self._ring.begin
+
+    @property
+    def end(self) -> int:
+        """Rows ever inserted, and so the number of the next."""
+        return self._ring.end
+
+    def insert(self, segment: Segment) -> Rows:
+        """Add the steps of a segment, evicting as many of the oldest as do not fit.
+
+        In a directory they survive the death of this process when this returns.
+
+        Returns:
+            The numbers of their rows, int64 ``[T]``.
+
+        Raises:
+            MalformedMessageError: The segment is of another environment.
+            RunDirectoryError: It cannot be written down; open the replay anew before going on.
+        """
+        self._require_fit(segment)
+        with self._guard:
+            first = self._ring.end
+            while (done := self._ring.end - first) < segment.num_steps:
+                self._insert_piece(segment, done)
+            return np.arange(first, self._ring.end)
+
+    def sample(
+        self,
+        batch_size: int,
+        rng: np.random.Generator,
+        *,
+        n_step: int = 1,
+        gamma: float = 0.99,
+        prioritised: bool = False,
+        beta: float = 0.4,
+    ) -> Transitions:
+        """Draw transitions, with replacement.
+
+        Each goes over ``n_step`` steps, or fewer where the episode ends before, or is not known
+        further; it never leaves the episode.
+
+        Args:
+            batch_size: B.
+            rng: Source of the draw; the same state gives the same rows of the same replay.
+            n_step: Steps that a transition goes over at most.
+            gamma: Discount of one step.
+            prioritised: Draw in proportion to the priorities, else uniformly.
+            beta: How far importance weights make up for that: 0 not, 1 fully.
+
+        Raises:
+            UsageError: The replay is empty, or B or n is below 1.
+        """
+        if batch_size < 1 or n_step < 1:
+            raise UsageError(f"replay: found batch of {batch_size} and n_step {n_step}, expected 1")
+        with self._guard:
+            ring = self._ring
+            if not len(ring):
+                raise UsageError("replay: found no transition to sample, insert some first")
+            if prioritised:
+                row, weight = self._priorities.draw(ring.begin, ring.end, batch_size, beta, rng)
+            else:
+                row = ring.begin + (rng.random(batch_size) * len(ring)).astype(np.int64)
+                weight = np.ones(batch_size, np.float32)
+            return self._transitions(row, weight, n_step, gamma)
+
+    def update_priorities(self, row: Rows, priority: Array | Floats) -> None:
+        """Set the priorities of sampled rows; those evicted since are passed over.
+
+        Args:
+            row: As sampled, ``[B]``; where one is named twice, the last priority counts.
+            priority: 0 or more, for example absolute TD errors, ``[B]``.
+
+        Raises:
+            UsageError: A priority is negative or not finite.
+        """
+        values = np.asarray(priority, np.float64)
+        if not (values >= 0).all() or not np.isfinite(values).all():
+            raise UsageError("replay: found a negative or non-finite priority, expected 0 or more")
+        with self._guard:
+            live = (row >= self._ring.begin) & (row < self._ring.end)
+            if not live.all():
+                row, values = row[live], values[live]
+            self._priorities.assign(row, values)
+
+    def flush(self) -> None:
+        """Write everything to the disk, for the case that the machine dies, not only we."""
+        if self._store is not None and self._index is not None:
+            self._store.flush()
+            self._index.flush()
+
+    def close(self) -> None:
+        """Close the files; may be called twice."""
+        if self._index is not None:
+            self._index.close()
+            self._index, self._is_writable = None, False
+        if self._lock_file >= 0:
+            os.close(self._lock_file)
+            self._lock_file = -1
+
+    def _require_fit(self, segment: Segment) -> None:
+        if not self._is_writable:
+            raise UsageError("replay: is open to be read only, or closed")
+        layout = self.about.layout
+        found = (segment.obs.shape[1], segment.suggestion.shape[1])
+        if found != (layout.obs_size, layout.action_size):
+            raise MalformedMessageError(
+                f"segment {segment.actor}/{segment.seq}: found obs_size and action_size {found}, "
+                f"expected {(layout.obs_size, layout.action_size)}"
+            )
+
+    def _insert_piece(self, segment: Segment, begin: int) -> None:
+        ring, oldest = self._ring, self._ring.begin
+        record, data = ring.write(segment, begin)
+        if self._index is not None:
+            record = record._replace(rows_crc=zlib.crc32(data))
+            self._index.append(record.pack(), oldest)
+        ring.admit(record)
+        self._priorities.admit(record.row, record.end)
+        self._priorities.evict(oldest, ring.begin)
+
+    def _transitions(self, row: Rows, weight: Array, n_step: int, gamma: float) -> Transitions:
+        ring, layout = self._ring, self._ring.layout
+        first = ring.take(row)
+        last, reward = first, layout.reward(first)
+        discount = np.full(len(row), gamma, np.float32)
+        if n_step > 1:
+            end, steps = row, np.ones(len(row), np.int64)
+            reward = reward.copy()
+            discounts = (gamma ** np.arange(n_step + 1)).astype(np.float32)
+            for k in range(1, n_step):
+                following = ring.follow(end)
+                goes_on = following >= 0
+                if not goes_on.any():
+                    break
+                end = np.where(goes_on, following, end)
+                steps += goes_on
+                reward += np.where(goes_on, discounts[k] * ring.reward(end), np.float32(0.0))
+            last, discount = ring.take(end), discounts[steps]
+        return Transitions(
+            obs=layout.obs(first),
+            action=layout.action(first),
+            reward=reward,
+            next_obs=layout.next_obs(last),
+            discount=discount * (np.float32(1.0) - layout.terminated(last)),
+            weight=weight,
+            row=row,
+        )

@@ -1,0 +1,123 @@
+"""A replay directory: its files, who may write to them, and how they come to another capacity.
+
+``replay.json`` names the files that count, and is replaced in one step: a directory is always of
+the old capacity or of the new one, whatever is killed.
+"""
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import MappedArray
+from a2s.learner.replay.index import Index
+from a2s.learner.replay.record import Record
+from a2s.learner.replay.records import Records
+from a2s.learner.replay.ring import Ring, num_slots
+from a2s.protocol.errors import RunDirectoryError
+
+
+class Store:
+    """The files of one replay.
+
+    Args:
+        path: The directory.
+        about: What is in it.
+        writable: Open them for writing.
+        new: Make them.
+
+    Attributes:
+        about: What is in it.
+        rows: The transitions, ``[num_slots, width]``.
+        priority: One number a slot, ``[num_slots]``.
+
+    Raises:
+        RunDirectoryError: A file cannot be made, is missing or damaged.
+    """
+
+    def __init__(
+        self, path: Path, about: Description, *, writable: bool, new: bool = False
+    ) -> None:
+        self.path = path
+        self.about = about
+        slots = num_slots(about.capacity)
+        width = about.layout.width
+        self._rows = MappedArray(self._file("rows"), (slots, width), new=new, writable=writable)
+        try:
+            name = self._file("priority")
+            self._priority = MappedArray(name, (slots,), new=new, writable=writable)
+        except RunDirectoryError:
+            if new:
+                self._file("rows").unlink()
+            raise
+        self.rows = self._rows.array
+        self.priority = self._priority.array
+
+    @classmethod
+    def make(cls, path: Path, about: Description) -> Self:
+        """Make the files; they count once ``replay.json`` names them.
+
+        Raises:
+            RunDirectoryError: There is no room for them.
+        """
+        for left in path.glob(f"*-{about.files}.*"):  # by a process that was killed here
+            left.unlink()
+        return cls(path, about, writable=True, new=True)
+
+    def index(self, size: int) -> Index:
+        """Open the index for appending behind its first ``size`` bytes."""
+        return Index(self._file("index"), size)
+
+    def restore(
+        self, ring: Ring, is_known: Callable[[str, int], bool] | None
+    ) -> tuple[Records, int]:
+        """Make live what the index vouches for.
+
+        Returns:
+            The records that count, and how many rows ``is_known`` took back.
+        """
+        records = Records(self._file("index"))
+        taken_back = 0 if is_known is None else records.cut(is_known)
+
+        def rows(record: Record) -> memoryview:
+            return ring.stretch(record.row, record.end).data.cast("B")
+
+        records.verify(self.about.capacity, rows)
+        ring.restore(records.columns, records.live(self.about.capacity))
+        return records, taken_back
+
+    def flush(self) -> None:
+        """Write the rows to the disk, for the case that the machine dies."""
+        self._rows.flush()
+        self._priority.flush()
+
+    def delete(self) -> None:
+        """Delete the files: those of another capacity took their place."""
+        for kind in ("rows", "priority", "index"):
+            self._file(kind).unlink(missing_ok=True)
+
+    def _file(self, kind: str) -> Path:
+        suffix = "log" if kind == "index" else "f32"
+        return self.path / f"{kind}-{self.about.files}.{suffix}"
+
+
+def lock(path: Path) -> int:
+    """Keep other writers out until the returned descriptor is closed, or this process ends.
+
+    Raises:
+        RunDirectoryError: Another process writes there.
+    """
+    try:
+        file = os.open(path / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise RunDirectoryError(f"replay {path}: {error.strerror}") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        raise RunDirectoryError(
+            f"replay {path}: another learner writes to it; stop that one first"
+        ) from None
+    return file

@@ -1,0 +1,309 @@
+"""What a replay directory survives, and what it refuses without destroying anything."""
+
+import errno
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import replay_writer
+from replay_oracle import ENV_ID, SPACES, make_segment
+
+from a2s.learner.ledger import Ledger
+from a2s.learner.replay import directory
+from a2s.learner.replay.record import RECORD_BYTES
+from a2s.learner.replay.replay import Replay
+from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
+from a2s.protocol.messages import Spaces
+
+FOREVER = 1_000_000
+
+
+def fill(path: Path, segments: int = 10, capacity: int = 100) -> Path:
+    """Make a replay with segments of four steps of one episode, and close it."""
+    replay = directory.create(path, ENV_ID, SPACES, capacity)
+    for seq in range(segments):
+        insert(replay, seq)
+    replay.close()
+    return path
+
+
+def insert(replay: Replay, seq: int) -> None:
+    """Insert four steps."""
+    obs = [4.0 * seq + i for i in range(5)]
+    replay.insert(make_segment(obs, [1.0] * 4, seq=seq, before=4 * seq))
+
+
+def observations(replay: Replay) -> list[float]:
+    """First number of the observation of every live row, oldest first."""
+    batch = replay.sample(60 * len(replay), np.random.default_rng(0))
+    found = dict(zip(batch.row.tolist(), batch.obs[:, 0].tolist(), strict=True))
+    return [found[row] for row in range(replay.begin, replay.end)]
+
+
+def snapshot(path: Path) -> dict[str, bytes]:
+    """Every file and what is in it."""
+    return {file.name: file.read_bytes() for file in path.iterdir()}
+
+
+@contextmanager
+def opened(path: Path, **how: object) -> Iterator[Replay]:
+    """Open, and close at the end."""
+    replay = directory.open_existing(path, **how)  # type: ignore[arg-type]
+    yield replay
+    replay.close()
+
+
+@pytest.mark.parametrize("capacity", [50, FOREVER])
+def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
+    tmp_path: Path, capacity: int
+) -> None:
+    """Twenty kills at any moment, of a process that inserts as fast as it can."""
+    directory.create(tmp_path, ENV_ID, SPACES, capacity).close()
+    rng = np.random.default_rng(0)
+    last = -1
+    for _ in range(20):
+        command = [sys.executable, replay_writer.__file__, str(tmp_path), str(last + 1)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
+            assert child.stdout is not None
+            said = [child.stdout.readline() for _ in range(int(rng.integers(1, 300)))]
+            child.kill()
+            said += child.stdout.readlines()  # what it had said before it died
+        acknowledged = [int(line) for line in said if line.endswith(b"\n")]
+        assert acknowledged == list(range(last + 1, last + 1 + len(acknowledged)))
+        last = acknowledged[-1]
+        with opened(tmp_path, is_known=lambda _, seq, last=last: seq <= last) as replay:
+            assert replay.end == sum(1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1))
+            assert len(replay) == min(capacity, replay.end)
+            assert replay.taken_back <= replay_writer.MOST_STEPS
+            batch = replay.sample(2 * len(replay), rng, n_step=2, gamma=0.5)
+            assert np.array_equal(batch.obs[:, 0], batch.row)
+            assert np.array_equal(batch.reward == 1.0, batch.row == replay.end - 1)
+
+
+def test_a_torn_record_is_cut_and_counted(tmp_path: Path) -> None:
+    """Wherever a kill tears it."""
+    fill(tmp_path / "whole")
+    size = (tmp_path / "whole" / "index-1.log").stat().st_size
+    for missing in (1, 8, RECORD_BYTES - 1):
+        path = tmp_path / f"torn-{missing}"
+        shutil.copytree(tmp_path / "whole", path)
+        with (path / "index-1.log").open("r+b") as file:
+            file.truncate(size - missing)
+        before = snapshot(path)
+        assert directory.look_at(path).torn_records == 1
+        assert snapshot(path) == before
+        with opened(path) as replay:
+            assert (replay.torn_records, replay.end) == (1, 36)
+            insert(replay, 9)
+            assert observations(replay) == [float(i) for i in range(40)]
+        with opened(path) as replay:
+            assert (replay.torn_records, replay.end) == (0, 40)
+
+
+def test_rows_that_never_reached_the_disk_are_cut_at_the_end_and_refused_elsewhere(
+    tmp_path: Path,
+) -> None:
+    """As when the machine dies: the index may be ahead of the rows."""
+    fill(tmp_path, segments=30)
+    rows = np.memmap(tmp_path / "rows-1.f32", np.float32, "r+").reshape(-1, 9)
+    rows[116:120] = 0.0
+    rows[112, 0] += 1.0
+    with opened(tmp_path) as replay:
+        assert (replay.torn_records, replay.end, replay.begin) == (2, 112, 12)
+        assert observations(replay) == [float(i) for i in range(12, 112)]
+    rows[100, 8] = 1.0
+    before = snapshot(tmp_path)
+    reason = "the checksum of the rows from 100 does not match"
+    for how in (directory.open_existing, directory.look_at):
+        with pytest.raises(RunDirectoryError, match=reason):
+            how(tmp_path)
+    assert snapshot(tmp_path) == before
+
+
+def test_segments_that_the_ledger_does_not_know_are_taken_back(tmp_path: Path) -> None:
+    """They will be sent again: the rows they had pushed out are there again too."""
+    fill(tmp_path / "replay", segments=30)
+    ledger = Ledger(tmp_path / "segments.log")
+    for seq in range(29):
+        ledger.record("a", seq, "accepted", 4)
+    with opened(tmp_path / "replay", is_known=ledger.knows) as replay:
+        assert (replay.taken_back, replay.begin, replay.end) == (4, 16, 116)
+        assert observations(replay) == [float(i) for i in range(16, 116)]
+    assert ledger.accounts().duplicate == 0
+    ledger.close()
+
+
+def test_the_index_does_not_grow_without_bound(tmp_path: Path) -> None:
+    """Records of evicted rows go; what is opened again is the same."""
+    fill(tmp_path, segments=10_000, capacity=100)
+    assert (tmp_path / "index-1.log").stat().st_size <= 2 * 4096 * RECORD_BYTES
+    with opened(tmp_path) as replay:
+        assert (replay.begin, replay.end) == (39_900, 40_000)
+        assert observations(replay) == [float(i) for i in range(39_900, 40_000)]
+
+
+def describe(path: Path, **changes: object) -> None:
+    """Change ``replay.json``."""
+    file = path / "replay.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def truncate(name: str) -> Callable[[Path], None]:
+    """Cut off the second half of a file."""
+
+    def cut(path: Path) -> None:
+        with (path / name).open("r+b") as file:
+            file.truncate((path / name).stat().st_size // 2)
+
+    return cut
+
+
+def flip(path: Path) -> None:
+    """Damage a record that is not the last."""
+    data = bytearray((path / "index-1.log").read_bytes())
+    data[RECORD_BYTES + 3] ^= 1
+    (path / "index-1.log").write_bytes(data)
+
+
+def swap(path: Path) -> None:
+    """Exchange two records, each of which is whole."""
+    data = (path / "index-1.log").read_bytes()
+    first, second = data[:RECORD_BYTES], data[RECORD_BYTES : 2 * RECORD_BYTES]
+    (path / "index-1.log").write_bytes(second + first + data[2 * RECORD_BYTES :])
+
+
+OTHER = Spaces(
+    obs_size=2,
+    action_low=np.array([-1.0, 0.5], np.float32),
+    action_high=np.array([3.0, 0.8], np.float32),
+)
+
+
+@pytest.mark.parametrize(
+    ("harm", "how", "kind", "reason"),
+    [
+        (None, {"env_id": "Hopper-v5", "spaces": SPACES}, RunDirectoryError, "found environment"),
+        (None, {"env_id": ENV_ID, "spaces": OTHER}, RunDirectoryError, "found action_high"),
+        (None, {"capacity": 255, "batch_size": 256}, UsageError, "at least one batch of 256"),
+        (None, {"batch_size": 256}, UsageError, "found 100, expected at least one batch"),
+        (truncate("rows-1.f32"), {}, RunDirectoryError, "found 7200 bytes, expected 14400"),
+        (truncate("priority-1.f32"), {}, RunDirectoryError, "found 800 bytes, expected 1600"),
+        (truncate("replay.json"), {}, RunDirectoryError, "replay.json is damaged"),
+        (lambda p: (p / "rows-1.f32").unlink(), {}, RunDirectoryError, "No such file"),
+        (lambda p: (p / "index-1.log").unlink(), {}, RunDirectoryError, "No such file"),
+        (lambda p: (p / "replay.json").unlink(), {}, RunDirectoryError, "holds no replay"),
+        (lambda p: describe(p, format=2), {}, RunDirectoryError, "found format 2, expected 1"),
+        (lambda p: describe(p, obs_size="x"), {}, RunDirectoryError, "replay.json is damaged"),
+        (lambda p: describe(p, obs_size=3), {}, RunDirectoryError, "found 14400 bytes, expected"),
+        (flip, {}, RunDirectoryError, "the checksum of record 1 does not match"),
+        (swap, {}, RunDirectoryError, "record 1 does not follow the one before"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_one_line_and_left_alone(
+    tmp_path: Path,
+    harm: Callable[[Path], None] | None,
+    how: dict[str, object],
+    kind: type[A2SError],
+    reason: str,
+) -> None:
+    """It may be all that is left of a long run."""
+    path = fill(tmp_path / "replay")
+    if harm is not None:
+        harm(path)
+    before = snapshot(path)
+    with pytest.raises(kind, match=reason) as caught:
+        directory.open_existing(path, **how)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+    assert snapshot(path) == before
+
+
+def test_two_learners_cannot_write_to_one_replay(tmp_path: Path) -> None:
+    """Anybody may look, though."""
+    path = fill(tmp_path)
+    with opened(path) as replay:
+        with pytest.raises(RunDirectoryError, match="another learner writes to it"):
+            directory.open_existing(path)
+        looking = directory.look_at(path)
+        insert(replay, 10)
+        assert (looking.end, replay.end) == (40, 44)
+        with pytest.raises(UsageError, match="read only"):
+            insert(looking, 10)
+    with pytest.raises(RunDirectoryError, match="is there already"):
+        directory.create(path, ENV_ID, SPACES, 100)
+    with opened(path) as replay:
+        assert replay.end == 44
+
+
+@contextmanager
+def no_file_larger_than(num_bytes: int) -> Iterator[None]:
+    """Let the system refuse to make files larger, as on a disk that is full."""
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+
+
+@pytest.mark.parametrize("room", [2_000_000, 12_000_000])
+def test_no_room_is_noticed_when_the_replay_is_made(tmp_path: Path, room: int) -> None:
+    """Not by a signal in the middle of a run; and nothing half made stays."""
+    path = tmp_path / "replay"
+    with no_file_larger_than(room), pytest.raises(RunDirectoryError, match="MiB are needed"):
+        directory.create(path, ENV_ID, SPACES, 4_000_000)
+    assert [file.name for file in path.iterdir()] == ["lock"]
+    directory.create(path, ENV_ID, SPACES, 1000).close()
+
+
+def test_no_room_for_another_capacity_leaves_the_old_one(tmp_path: Path) -> None:
+    """The new files are made beside the old."""
+    path = fill(tmp_path / "replay")
+    before = snapshot(path)
+    with no_file_larger_than(20_000), pytest.raises(RunDirectoryError, match="MiB are needed"):
+        directory.open_existing(path, capacity=100_000)
+    assert snapshot(path) == before
+    with opened(path, capacity=100_000) as replay:
+        assert observations(replay) == [float(i) for i in range(40)]
+    assert {f.name for f in path.iterdir()} == {
+        "index-2.log", "lock", "priority-2.f32", "replay.json", "rows-2.f32",
+    }  # fmt: skip
+
+
+def test_no_room_for_a_record_is_an_error_and_the_replay_is_as_before(tmp_path: Path) -> None:
+    """The segment was not acknowledged, and can be inserted once there is room."""
+    path = fill(tmp_path)
+    with opened(path) as replay:
+        size = (path / "index-1.log").stat().st_size
+        with no_file_larger_than(size + 20), pytest.raises(RunDirectoryError, match="make room"):
+            insert(replay, 10)
+        assert (path / "index-1.log").stat().st_size == size
+        insert(replay, 10)
+        assert observations(replay) == [float(i) for i in range(44)]
+    with opened(path) as replay:
+        assert (replay.end, replay.torn_records) == (44, 0)
+
+
+def test_a_disk_that_is_full_is_noticed(tmp_path: Path) -> None:
+    """A real one, where we may mount it."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("mounting is not allowed here")
+    try:
+        with pytest.raises(RunDirectoryError) as caught:
+            directory.create(disk / "replay", ENV_ID, SPACES, 100_000)
+        assert str(caught.value) == (
+            f"{disk}/replay/rows-1.f32: {os.strerror(errno.ENOSPC)}, 4 MiB are needed"
+        )
+        fill(disk / "replay", capacity=1000)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
