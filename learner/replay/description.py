@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from a2s.learner.replay.layout import Layout
 from a2s.learner.run_directory import write_atomically
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.messages import Spaces
@@ -30,11 +29,6 @@ class Description:
     spaces: Spaces
     capacity: int
     files: int
-
-    @property
-    def layout(self) -> Layout:
-        """How a row lies in the file."""
-        return Layout(self.spaces.obs_size, self.spaces.action_size)
 
     def write(self, path: Path) -> None:
         """Write ``replay.json`` into a directory, whole or not at all."""

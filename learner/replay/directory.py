@@ -59,7 +59,7 @@ def create(
     except BaseException:
         os.close(lock_file)
         raise
-    ring = Ring(about.layout, capacity, store.rows)
+    ring = Ring(capacity, store.slots)
     priorities = Priorities(store.priority, alpha)
     return Replay(about, ring, priorities, store=store, index=index, lock_file=lock_file)
 
@@ -99,7 +99,7 @@ def open_existing(
     lock_file = lock(path)
     try:
         store = Store(path, about, writable=True)
-        ring = Ring(about.layout, about.capacity, store.rows)
+        ring = Ring(about.capacity, store.slots)
         records, taken_back = store.restore(ring, is_known)
         if capacity == about.capacity:
             index = store.index(records.num_bytes)
@@ -133,7 +133,7 @@ def look_at(path: Path, *, alpha: float = 0.6) -> Replay:
     """
     about = description.read(path)
     store = Store(path, about, writable=False)
-    ring = Ring(about.layout, about.capacity, store.rows)
+    ring = Ring(about.capacity, store.slots)
     records, _ = store.restore(ring, None)
     priorities = Priorities(store.priority.copy(), alpha)
     priorities.restore(ring.begin, ring.end)
@@ -144,7 +144,7 @@ def _resized(
     path: Path, about: Description, store: Store, ring: Ring, records: Records
 ) -> tuple[Store, Ring, Index]:
     target = Store.make(path, about)
-    copied = Ring(about.layout, about.capacity, target.rows)
+    copied = Ring(about.capacity, target.slots)
     index = target.index(0)
     packed = copy_newest(ring, records.live(ring.capacity), copied)
     index.append(packed, copied.begin)

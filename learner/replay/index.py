@@ -6,7 +6,7 @@ What has a record survives the death of this process; what has none was never in
 import os
 from pathlib import Path
 
-from a2s.learner.replay.record import RECORD_BYTES, columns
+from a2s.learner.replay.record import RECORD_BYTES, numbers
 from a2s.learner.run_directory import write_atomically
 from a2s.protocol.errors import RunDirectoryError
 
@@ -68,8 +68,8 @@ class Index:
 
     def _compact(self, begin: int) -> None:
         data = os.pread(self._file, self._size, 0)
-        numbers = columns(data)
-        dead = int((numbers["row"] + numbers["steps"]).searchsorted(begin, side="right"))
+        found = numbers(data)
+        dead = int((found["row"] + found["steps"]).searchsorted(begin, side="right"))
         write_atomically(self.path, data[dead * RECORD_BYTES :])
         os.close(self._file)
         self._file = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)

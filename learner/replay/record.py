@@ -12,7 +12,7 @@ TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
 _PACKED = struct.Struct("<qqqqiiB3xI96s")
 _CHECKSUM = struct.Struct("<I")
 RECORD_BYTES = _PACKED.size + _CHECKSUM.size
-_COLUMNS = np.dtype(
+_NUMBERS = np.dtype(
     {
         "names": ["row", "previous", "seq", "episode_length", "env", "steps", "flags", "rows_crc"],
         "formats": ["<i8", "<i8", "<i8", "<i8", "<i4", "<i4", "u1", "<u4"],
@@ -21,7 +21,7 @@ _COLUMNS = np.dtype(
     }
 )
 
-Columns = npt.NDArray[np.void]
+Numbers = npt.NDArray[np.void]
 
 
 class Record(NamedTuple):
@@ -67,9 +67,9 @@ def unpack(data: bytes, position: int) -> Record:
     return Record._make((*values[:-1], values[-1].rstrip(b"\0").decode()))
 
 
-def columns(data: bytes) -> Columns:
+def numbers(data: bytes) -> Numbers:
     """Look at the numbers of all whole records at once, by the names of `Record`."""
-    return np.frombuffer(data, _COLUMNS, count=len(data) // RECORD_BYTES)
+    return np.frombuffer(data, _NUMBERS, count=len(data) // RECORD_BYTES)
 
 
 def is_whole(data: memoryview, position: int) -> bool:

@@ -1,6 +1,5 @@
 """Reading an index: which rows count after whatever has happened to the learner."""
 
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +8,10 @@ import numpy as np
 from a2s.learner.replay.record import (
     CONTINUES,
     RECORD_BYTES,
-    Columns,
+    Numbers,
     Record,
-    columns,
     is_whole,
+    numbers,
     unpack,
 )
 from a2s.learner.replay.ring import longest_piece
@@ -45,8 +44,8 @@ class Records:
             raise self._damaged(f"the checksum of record {whole.index(False)} does not match")
         self._data = data
         self._begin, self._end = 0, len(whole)
-        numbers = self.columns
-        gap = (numbers["row"] + numbers["steps"])[:-1] != numbers["row"][1:]
+        found = self.numbers
+        gap = (found["row"] + found["steps"])[:-1] != found["row"][1:]
         if gap.any():
             raise self._damaged(f"record {int(gap.argmax()) + 1} does not follow the one before")
         self.torn = -(-len(data) // RECORD_BYTES) - self._end
@@ -56,9 +55,14 @@ class Records:
         return self._end - self._begin
 
     @property
-    def columns(self) -> Columns:
-        """The numbers of all records."""
-        return columns(self._data[self._begin * RECORD_BYTES : self._end * RECORD_BYTES])
+    def numbers(self) -> Numbers:
+        """All that is in the records but the names."""
+        return numbers(self._data[self._begin * RECORD_BYTES : self._end * RECORD_BYTES])
+
+    @property
+    def next_row(self) -> int:
+        """Number of the row that comes next."""
+        return self._last.end if self._end else 0
 
     @property
     def num_bytes(self) -> int:
@@ -69,7 +73,7 @@ class Records:
         """Read the records of which a row is among the newest ``capacity``."""
         if not len(self):
             return []
-        ends = self.columns["row"] + self.columns["steps"]
+        ends = self.numbers["row"] + self.numbers["steps"]
         first = int(ends.searchsorted(ends[-1] - capacity, side="right"))
         return [unpack(self._data, i) for i in range(self._begin + first, self._end)]
 
@@ -88,12 +92,12 @@ class Records:
             self._end -= 1
         return rows
 
-    def verify(self, capacity: int, rows: Callable[[Record], memoryview]) -> None:
+    def verify(self, capacity: int, checksum: Callable[[Record], int]) -> None:
         """Compare the live rows with their checksums; torn ones at the end are cut.
 
         Args:
             capacity: Of the replay.
-            rows: Gives the bytes of the rows of a record.
+            checksum: Computes that of the rows of a record.
 
         Raises:
             RunDirectoryError: Rows are damaged, and newer ones are not.
@@ -101,14 +105,14 @@ class Records:
         if not len(self):
             return
         reach = self._last.end - capacity - 2 * longest_piece(capacity)
-        while len(self) and not _match(self._last, rows):
+        while len(self) and checksum(self._last) != self._last.rows_crc:
             self._end -= 1
             self.torn += 1
         self._cut_unfinished()
         # What was written after these rows may lie over them, if much of it was cut.
-        self._begin += int(np.count_nonzero(self.columns["row"] < reach))
+        self._begin += int(np.count_nonzero(self.numbers["row"] < reach))
         for record in self.live(capacity):
-            if not _match(record, rows):
+            if checksum(record) != record.rows_crc:
                 raise self._damaged(f"the checksum of the rows from {record.row} does not match")
 
     @property
@@ -124,7 +128,3 @@ class Records:
         return RunDirectoryError(
             f"replay {self.path.parent}: {what}; move the directory away to begin another"
         )
-
-
-def _match(record: Record, rows: Callable[[Record], memoryview]) -> bool:
-    return zlib.crc32(rows(record)) == record.rows_crc

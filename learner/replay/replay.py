@@ -2,11 +2,11 @@
 
 import os
 import threading
-import zlib
 from typing import Self
 
 import numpy as np
 
+from a2s.learner.replay.columns import Columns, in_memory
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.priorities import Priorities
@@ -74,7 +74,7 @@ class Replay:
         """
         about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=0)
         slots = num_slots(capacity)
-        ring = Ring(about.layout, capacity, np.zeros((slots, about.layout.width), np.float32))
+        ring = Ring(capacity, Columns.make(spaces, slots, in_memory))
         return cls(about, ring, Priorities(np.zeros(slots, np.float32), alpha))
 
     def __len__(self) -> int:
@@ -159,11 +159,11 @@ class Replay:
             UsageError: A priority is negative or not finite.
         """
         values = np.asarray(priority, np.float64)
-        if not (values >= 0).all() or not np.isfinite(values).all():
+        if not (values.size and values.min() >= 0.0 and values.max() < np.inf):
             raise UsageError("replay: found a negative or non-finite priority, expected 0 or more")
         with self._guard:
-            live = (row >= self._ring.begin) & (row < self._ring.end)
-            if not live.all():
+            if row.min() < self._ring.begin:
+                live = row >= self._ring.begin
                 row, values = row[live], values[live]
             self._priorities.assign(row, values)
 
@@ -185,48 +185,58 @@ class Replay:
     def _require_fit(self, segment: Segment) -> None:
         if not self._is_writable:
             raise UsageError("replay: is open to be read only, or closed")
-        layout = self.about.layout
+        spaces = self.about.spaces
         found = (segment.obs.shape[1], segment.suggestion.shape[1])
-        if found != (layout.obs_size, layout.action_size):
+        if found != (spaces.obs_size, spaces.action_size):
             raise MalformedMessageError(
                 f"segment {segment.actor}/{segment.seq}: found obs_size and action_size {found}, "
-                f"expected {(layout.obs_size, layout.action_size)}"
+                f"expected {(spaces.obs_size, spaces.action_size)}"
             )
 
     def _insert_piece(self, segment: Segment, begin: int) -> None:
         ring, oldest = self._ring, self._ring.begin
-        record, data = ring.write(segment, begin)
+        record = ring.write(segment, begin)
         if self._index is not None:
-            record = record._replace(rows_crc=zlib.crc32(data))
+            rows = ring.stretch(record.row, record.steps)
+            record = record._replace(rows_crc=rows.checksum())
             self._index.append(record.pack(), oldest)
         ring.admit(record)
         self._priorities.admit(record.row, record.end)
         self._priorities.evict(oldest, ring.begin)
 
     def _transitions(self, row: Rows, weight: Array, n_step: int, gamma: float) -> Transitions:
-        ring, layout = self._ring, self._ring.layout
-        first = ring.take(row)
-        last, reward = first, layout.reward(first)
-        discount = np.full(len(row), gamma, np.float32)
+        ring, slots = self._ring, self._ring.slots
+        first = last = ring.slot(row)
+        outcome = slots.outcome.take(first, axis=0)
+        reward, discount = outcome[:, 0], np.float32(gamma) * outcome[:, 1]
         if n_step > 1:
-            end, steps = row, np.ones(len(row), np.int64)
-            reward = reward.copy()
-            discounts = (gamma ** np.arange(n_step + 1)).astype(np.float32)
-            for k in range(1, n_step):
-                following = ring.follow(end)
-                goes_on = following >= 0
-                if not goes_on.any():
-                    break
-                end = np.where(goes_on, following, end)
-                steps += goes_on
-                reward += np.where(goes_on, discounts[k] * ring.reward(end), np.float32(0.0))
-            last, discount = ring.take(end), discounts[steps]
+            last, reward, discount = self._add_up(row, reward, n_step, gamma)
         return Transitions(
-            obs=layout.obs(first),
-            action=layout.action(first),
+            obs=slots.obs.take(first, axis=0),
+            action=slots.action.take(first, axis=0),
             reward=reward,
-            next_obs=layout.next_obs(last),
-            discount=discount * (np.float32(1.0) - layout.terminated(last)),
+            next_obs=slots.next_obs.take(last, axis=0),
+            discount=discount,
             weight=weight,
             row=row,
         )
+
+    def _add_up(
+        self, row: Rows, reward: Array, n_step: int, gamma: float
+    ) -> tuple[Rows, Array, Array]:
+        """Follow episodes from the rows: last slots, discounted sums of rewards, discounts."""
+        ring = self._ring
+        discounts = (gamma ** np.arange(n_step + 1)).astype(np.float32)
+        steps = np.ones(len(row), np.int64)
+        total = reward.copy()
+        for k in range(1, n_step):
+            following = ring.follow(row)
+            goes_on = following >= 0
+            if not goes_on.any():
+                break
+            row = np.where(goes_on, following, row)
+            reward = ring.slots.outcome[ring.slot(row), 0]
+            total += np.where(goes_on, discounts[k] * reward, np.float32(0.0))
+            steps += goes_on
+        slot = ring.slot(row)
+        return slot, total, discounts[steps] * ring.slots.outcome[slot, 1]

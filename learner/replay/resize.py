@@ -1,9 +1,7 @@
 """Copying the newest rows of a replay into one of another capacity."""
 
-import zlib
-
 from a2s.learner.replay.record import CONTINUES, STARTS, TERMINATED, TRUNCATED, Record
-from a2s.learner.replay.ring import Ring, longest_piece
+from a2s.learner.replay.ring import Ring
 
 
 def copy_newest(source: Ring, records: list[Record], target: Ring) -> bytes:
@@ -22,9 +20,9 @@ def copy_newest(source: Ring, records: list[Record], target: Ring) -> bytes:
     for record in records:
         while target.end < record.end:
             piece = _piece(record, target)
-            rows = target.stretch(piece.row, piece.end)
-            rows[:] = source.stretch(piece.row, piece.end)
-            piece = piece._replace(rows_crc=zlib.crc32(rows.data.cast("B")))
+            rows = target.stretch(piece.row, piece.steps)
+            rows.copy(source.stretch(piece.row, piece.steps))
+            piece = piece._replace(rows_crc=rows.checksum())
             target.admit(piece)
             packed.append(piece.pack())
     return b"".join(packed)
@@ -33,8 +31,7 @@ def copy_newest(source: Ring, records: list[Record], target: Ring) -> bytes:
 def _piece(record: Record, target: Ring) -> Record:
     """Cut from a record what comes next and fits in one stretch."""
     row = target.end
-    room = min(longest_piece(target.capacity), len(target.rows) - row % len(target.rows))
-    end = min(record.end, row + room)
+    end = min(record.end, row + target.room)
     flags = record.flags
     previous = record.previous
     if row > record.row:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from a2s.learner.replay.layout import Layout
-from a2s.learner.replay.record import CONTINUES, STARTS, TERMINATED, TRUNCATED, Columns, Record
+from a2s.learner.replay.columns import Columns
+from a2s.learner.replay.record import CONTINUES, STARTS, TERMINATED, TRUNCATED, Numbers, Record
 from a2s.learner.replay.transitions import Rows
-from a2s.protocol.messages import Array, Segment
+from a2s.protocol.messages import Segment
 
 _LONGEST_PIECE = 4096
 _FEW_STREAMS = 1024
@@ -40,49 +40,44 @@ class Ring:
     """The rows of a replay, and the links between them.
 
     Args:
-        layout: Of a row.
         capacity: Rows that are live at most.
-        rows: Where they lie, float32 ``[num_slots(capacity), layout.width]``.
+        slots: Where they lie, ``num_slots(capacity)`` of them.
     """
 
-    def __init__(self, layout: Layout, capacity: int, rows: Array) -> None:
-        self.layout = layout
+    def __init__(self, capacity: int, slots: Columns) -> None:
         self.capacity = capacity
-        self.rows = rows
+        self.slots = slots
         self.begin = 0
         self.end = 0
-        self._successor: Rows = np.full(len(rows), -1, np.int64)
+        self._successor: Rows = np.full(len(slots), -1, np.int64)
         self._tails: dict[tuple[str, int], _Tail] = {}
         self._most_tails = _FEW_STREAMS
 
     def __len__(self) -> int:
         return self.end - self.begin
 
-    def write(self, segment: Segment, begin: int) -> tuple[Record, memoryview]:
+    def write(self, segment: Segment, begin: int) -> Record:
         """Write the steps of a segment from ``begin`` on, as many as fit; they are not yet live.
 
         Returns:
-            Their record, without checksum, and their bytes.
+            Their record, without checksum.
         """
-        slot = self.end % len(self.rows)
-        room = min(longest_piece(self.capacity), len(self.rows) - slot)
-        end = min(segment.num_steps, begin + room)
+        end = min(segment.num_steps, begin + self.room)
         is_last = end == segment.num_steps
-        rows, layout = self.rows[slot : slot + end - begin], self.layout
-        layout.obs(rows)[:] = segment.obs[begin:end]
-        layout.action(rows)[:] = segment.suggestion[begin:end]
-        layout.reward(rows)[:] = segment.reward[begin:end]
-        layout.next_obs(rows)[:-1] = segment.obs[begin + 1 : end]
-        layout.next_obs(rows)[-1] = segment.final_obs if is_last else segment.obs[end]
-        layout.terminated(rows)[:] = 0.0
-        layout.truncated(rows)[:] = 0.0
+        rows = self.stretch(self.end, end - begin)
+        rows.obs[:] = segment.obs[begin:end]
+        rows.action[:] = segment.suggestion[begin:end]
+        rows.next_obs[:-1] = segment.obs[begin + 1 : end]
+        rows.next_obs[-1] = segment.final_obs if is_last else segment.obs[end]
+        rows.outcome[:, 0] = segment.reward[begin:end]
+        rows.outcome[:, 1] = 1.0
         flags = STARTS if begin == 0 and segment.episode_length == segment.num_steps else 0
         if is_last:
-            rows[-1, -2:] = segment.terminated, segment.truncated
             flags |= TERMINATED * segment.terminated | TRUNCATED * segment.truncated
+            rows.outcome[-1, 1] = not segment.terminated
         else:
             flags |= CONTINUES
-        record = Record(
+        return Record(
             row=self.end,
             previous=self.end - 1 if begin else self._previous(segment),
             seq=segment.seq,
@@ -93,37 +88,37 @@ class Ring:
             rows_crc=0,
             actor=segment.actor,
         )
-        return record, rows.data.cast("B")
 
     def admit(self, record: Record) -> None:
         """Make written rows live, link them, and evict the oldest beyond the capacity."""
-        slot = record.row % len(self.rows)
+        slot = record.row % len(self.slots)
         numbers = np.arange(record.row + 1, record.end + 1)
         self._successor[slot : slot + record.steps] = numbers
         self._successor[slot + record.steps - 1] = -1
         if record.previous >= self.begin:
-            self._successor[record.previous % len(self.rows)] = record.row
+            self._successor[record.previous % len(self.slots)] = record.row
         self.end = record.end
         self.begin = max(self.begin, self.end - self.capacity)
         self._remember(record)
 
-    def restore(self, columns: Columns, live: list[Record]) -> None:
+    def restore(self, numbers: Numbers, live: list[Record], end: int) -> None:
         """Take up rows that lie there already, of successive records.
 
         Args:
-            columns: All their numbers.
+            numbers: All that is in them but the names.
             live: Those records of which a row is live.
+            end: Number of the row that comes next.
         """
-        if not len(columns):
+        self.begin = self.end = end
+        if not len(numbers):
             return
-        self.end = int(columns["row"][-1] + columns["steps"][-1])
-        self.begin = max(int(columns["row"][0]), self.end - self.capacity)
-        size = len(self.rows)
-        numbers = np.arange(self.begin, self.end)
-        self._successor[numbers % size] = numbers + 1
-        last = columns["row"] + columns["steps"] - 1
+        self.begin = max(int(numbers["row"][0]), end - self.capacity)
+        size = len(self.slots)
+        row = np.arange(self.begin, self.end)
+        self._successor[row % size] = row + 1
+        last = numbers["row"] + numbers["steps"] - 1
         self._successor[last[last >= self.begin] % size] = -1
-        linked = columns[columns["previous"] >= self.begin]
+        linked = numbers[numbers["previous"] >= self.begin]
         self._successor[linked["previous"] % size] = linked["row"]
         for record in live:
             self._remember(record)
@@ -133,20 +128,20 @@ class Ring:
 
         A row's successor is always newer, so a live row's is live.
         """
-        return self._successor.take(row % len(self.rows))
+        return self._successor.take(row % len(self.slots))
 
-    def take(self, row: Rows) -> Array:
-        """Copy live rows, ``[B]`` to ``[B, layout.width]``."""
-        return self.rows.take(row % len(self.rows), axis=0)
+    def slot(self, row: Rows) -> Rows:
+        """Find where rows lie, ``[B]``."""
+        return row % len(self.slots)
 
-    def reward(self, row: Rows) -> Array:
-        """Copy the rewards of live rows, ``[B]``."""
-        return self.layout.reward(self.rows)[row % len(self.rows)]
+    @property
+    def room(self) -> int:
+        """Rows that can be written next in one stretch."""
+        return min(longest_piece(self.capacity), len(self.slots) - self.end % len(self.slots))
 
-    def stretch(self, begin: int, end: int) -> Array:
-        """Look at rows that one record holds."""
-        slot = begin % len(self.rows)
-        return self.rows[slot : slot + end - begin]
+    def stretch(self, row: int, count: int) -> Columns:
+        """Look at successive rows that were written in one stretch."""
+        return self.slots.stretch(row % len(self.slots), count)
 
     def _previous(self, segment: Segment) -> int:
         """Find the row of the step before a segment; only the very same observation will do.
@@ -156,9 +151,9 @@ class Ring:
         """
         tail = self._tails.get((segment.actor, segment.env))
         before = segment.episode_length - segment.num_steps
-        if tail is None or tail.row < self.begin or tail.episode_length != before:
+        if tail is None or tail.episode_length != before:
             return -1
-        seen = self.layout.next_obs(self.rows[tail.row % len(self.rows)])
+        seen = self.slots.next_obs[tail.row % len(self.slots)]
         return tail.row if np.array_equal(seen, segment.obs[0]) else -1
 
     def _remember(self, record: Record) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+from a2s.learner.replay.columns import Columns
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.files import MappedArray
 from a2s.learner.replay.index import Index
@@ -17,6 +18,7 @@ from a2s.learner.replay.record import Record
 from a2s.learner.replay.records import Records
 from a2s.learner.replay.ring import Ring, num_slots
 from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.messages import Array
 
 
 class Store:
@@ -30,7 +32,7 @@ class Store:
 
     Attributes:
         about: What is in it.
-        rows: The transitions, ``[num_slots, width]``.
+        slots: The transitions.
         priority: One number a slot, ``[num_slots]``.
 
     Raises:
@@ -42,18 +44,21 @@ class Store:
     ) -> None:
         self.path = path
         self.about = about
-        slots = num_slots(about.capacity)
-        width = about.layout.width
-        self._rows = MappedArray(self._file("rows"), (slots, width), new=new, writable=writable)
+        self._mapped: list[MappedArray] = []
+
+        def make(name: str, shape: tuple[int, ...]) -> Array:
+            mapped = MappedArray(self._file(name), shape, new=new, writable=writable)
+            self._mapped.append(mapped)
+            return mapped.array
+
+        size = num_slots(about.capacity)
         try:
-            name = self._file("priority")
-            self._priority = MappedArray(name, (slots,), new=new, writable=writable)
+            self.slots = Columns.make(about.spaces, size, make)
+            self.priority = make("priority", (size,))
         except RunDirectoryError:
             if new:
-                self._file("rows").unlink()
+                self.delete()
             raise
-        self.rows = self._rows.array
-        self.priority = self._priority.array
 
     @classmethod
     def make(cls, path: Path, about: Description) -> Self:
@@ -81,22 +86,22 @@ class Store:
         records = Records(self._file("index"))
         taken_back = 0 if is_known is None else records.cut(is_known)
 
-        def rows(record: Record) -> memoryview:
-            return ring.stretch(record.row, record.end).data.cast("B")
+        def checksum(record: Record) -> int:
+            return ring.stretch(record.row, record.steps).checksum()
 
-        records.verify(self.about.capacity, rows)
-        ring.restore(records.columns, records.live(self.about.capacity))
+        records.verify(self.about.capacity, checksum)
+        ring.restore(records.numbers, records.live(self.about.capacity), records.next_row)
         return records, taken_back
 
     def flush(self) -> None:
         """Write the rows to the disk, for the case that the machine dies."""
-        self._rows.flush()
-        self._priority.flush()
+        for mapped in self._mapped:
+            mapped.flush()
 
     def delete(self) -> None:
         """Delete the files: those of another capacity took their place."""
-        for kind in ("rows", "priority", "index"):
-            self._file(kind).unlink(missing_ok=True)
+        for file in self.path.glob(f"*-{self.about.files}.*"):
+            file.unlink()
 
     def _file(self, kind: str) -> Path:
         suffix = "log" if kind == "index" else "f32"

@@ -13,7 +13,7 @@ from a2s.learner.replay.transitions import Rows
 Floats = npt.NDArray[np.float64]
 
 _FAN_OUT = 16
-_MOST_ROOTS = 1024
+_MOST_ROOTS = 8192
 _ONES = np.ones(_FAN_OUT)
 _PREFIX = np.triu(np.ones((_FAN_OUT, _FAN_OUT)))
 
