@@ -11,6 +11,7 @@ Transitions are those of HalfCheetah (17 observations, 6 actions); a segment has
 import argparse
 import importlib
 import json
+import logging
 import statistics
 import sys
 import tempfile
@@ -171,6 +172,7 @@ def main() -> None:
     parser.add_argument("--capacity", type=int, default=1 << 18)
     options = parser.parse_args()
     torch.set_num_threads(1)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
     segments = [make_segment(i) for i in range(20)]
     with tempfile.TemporaryDirectory() as folder:
         stored = directory.create(Path(folder) / "replay", "E", SPACES, options.capacity)

@@ -1,0 +1,117 @@
+"""Samples per insert: whichever side is ahead waits for the other.
+
+Source: the rate limiter of Reverb (Cassirer et al. 2021, arXiv:2102.04736, section 3.4,
+``SampleToInsertRatio``). Differs: counts are of transitions, not of items, and a band that can
+block both sides is refused when it is made, whatever the sizes of segments and batches.
+"""
+
+from collections.abc import Mapping
+
+from a2s.protocol.errors import RunDirectoryError, UsageError
+
+
+class Limiter:
+    """Keeps ``samples`` near ``ratio * (inserts - min_size)``, both in transitions.
+
+    The difference, ``error = ratio * (inserts - min_size) - samples``, stays within ``-band`` and
+    ``band``: an insertion that would raise it above waits, and so does a batch that would lower it
+    below. Until ``min_size`` transitions are there, insertions never wait and batches always do.
+    Not locked: its owner calls it from one place. Use::
+
+        if limiter.may_sample():
+            batch = replay.sample(batch_size, rng)
+            limiter.count_sample()
+
+    Args:
+        ratio: Transitions sampled for each one inserted: updates a step times the batch size.
+        min_size: Transitions inserted before the first batch.
+        band: How far either side may be ahead, in sampled transitions.
+        segment_steps: Transitions of the longest segment.
+        batch_size: Transitions of a batch.
+
+    Raises:
+        UsageError: A number is out of its range, or with this band both sides could wait.
+    """
+
+    def __init__(
+        self, ratio: float, min_size: int, band: float, *, segment_steps: int, batch_size: int
+    ) -> None:
+        for name, value, low in (
+            ("ratio", ratio, 0.0),
+            ("min_size", min_size, 0),
+            ("segment_steps", segment_steps, 0),
+            ("batch_size", batch_size, 0),
+        ):
+            if not low < value < float("inf"):
+                raise UsageError(f"samples per insert: {name}: found {value}, expected above {low}")
+        least = max(ratio * segment_steps, batch_size)
+        if not band >= least:
+            raise UsageError(
+                f"samples per insert: band: found {band:g}, expected at least {least:g}: the "
+                f"larger of a batch ({batch_size}) and of a segment times the ratio "
+                f"({ratio * segment_steps:g}), or both sides could wait for each other for ever"
+            )
+        self._ratio = ratio
+        self._min_size = min_size
+        self._band = band
+        self._segment_steps = segment_steps
+        self._batch_size = batch_size
+        self.inserts = 0
+        self.samples = 0
+        self.insert_waits = 0
+        self.sample_waits = 0
+
+    @property
+    def error(self) -> float:
+        """Transitions by which sampling is behind; negative when it is ahead."""
+        return self._ratio * (self.inserts - self._min_size) - self.samples
+
+    def may_insert(self, steps: int | None = None) -> bool:
+        """Whether an insertion keeps within the band; counts a wait if not.
+
+        Args:
+            steps: Its transitions; those of the longest segment when not given.
+        """
+        more = self._segment_steps if steps is None else steps
+        is_free = self.error + self._ratio * more <= self._band
+        self.insert_waits += not is_free
+        return is_free
+
+    def may_sample(self) -> bool:
+        """Whether another batch keeps within the band; counts a wait if not."""
+        is_filled = self.inserts >= self._min_size
+        is_free = is_filled and self.error - self._batch_size >= -self._band
+        self.sample_waits += not is_free
+        return is_free
+
+    def count_insert(self, steps: int) -> None:
+        """Transitions were inserted; also if nobody asked, for what has arrived is kept."""
+        self.inserts += steps
+
+    def count_sample(self) -> None:
+        """A batch was sampled."""
+        self.samples += self._batch_size
+
+    def state(self) -> dict[str, int]:
+        """What a checkpoint holds."""
+        return {
+            "inserts": self.inserts,
+            "samples": self.samples,
+            "insert_waits": self.insert_waits,
+            "sample_waits": self.sample_waits,
+        }
+
+    def load(self, state: Mapping[str, int]) -> None:
+        """Go on from a checkpoint.
+
+        Raises:
+            RunDirectoryError: The state is not one.
+        """
+        try:
+            found = {name: int(state[name]) for name in self.state()}
+        except (KeyError, TypeError, ValueError) as error:
+            raise RunDirectoryError(
+                f"checkpoint: samples per insert: found no usable {error}"
+            ) from None
+        self.inserts, self.samples = found["inserts"], found["samples"]
+        self.insert_waits, self.sample_waits = found["insert_waits"], found["sample_waits"]
