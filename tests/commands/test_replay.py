@@ -165,8 +165,6 @@ def test_export_without_minari_says_what_to_install(
     assert "pip install 'a2s[minari]'" in capsys.readouterr().err
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning:minari")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_minari_opens_what_is_exported(
     stored: Path,
     tmp_path: Path,

@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,7 +62,8 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         )
     if not buffers:
         raise UsageError(f"replay {path}: found no whole episode, {episodes.left_out} in part")
-    with _kept_in(root):
+    with _kept_in(root), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about an author that we do not know
         try:
             dataset = minari.create_dataset_from_buffers(
                 dataset_id=dataset_id,
