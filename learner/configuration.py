@@ -14,14 +14,17 @@ from typing import Any, Literal, get_args, get_type_hints
 
 import tomlkit
 
-from a2s.learner import presets
+from a2s.learner import off_policy_presets, presets
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.protocol.errors import UsageError, nearest
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Clock
 
 Variant = Literal["on-policy", "off-policy"]
 Algo = Literal["a2s", "a2c"]
+# An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
+_OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,8 +79,8 @@ class RunConfig:
                 raise UsageError(f"{name}: found {getattr(self, name)}, expected at least {low}")
         if self.envs > 4096:
             raise UsageError(f"envs: found {self.envs}, expected at most 4096")
-        if self.variant == "off-policy":
-            raise UsageError("variant: off-policy is not there yet; use --variant on-policy")
+        if self.variant == "off-policy" and self.algo != "a2s":
+            raise UsageError(f"algo: found {self.algo}, expected a2s with variant off-policy")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +88,7 @@ class Configuration:
     """A run and its hyperparameters."""
 
     run: RunConfig
-    hyper: OnPolicyHyper
+    hyper: OnPolicyHyper | OffPolicyHyper
 
     def to_toml(self) -> str:
         """Write everything, so that :func:`read` gives the same again."""
@@ -96,7 +99,11 @@ class Configuration:
 
     def explain(self) -> str:
         """Every value with its source, one a line, as TOML with comments."""
-        sources = presets.choices(self.run.preset, self.run.algo)
+        sources = (
+            off_policy_presets.choices(self.run.preset)
+            if self.run.variant == "off-policy"
+            else presets.choices(self.run.preset, self.run.algo)
+        )
         lines = ["[run]"]
         lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
         lines += ["", "[hyper]"]
@@ -136,6 +143,9 @@ def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configu
     Raises:
         UsageError: A name or a value is impossible.
     """
+    if options.get("variant") == "off-policy":
+        run = RunConfig(**{**_OFF_POLICY, **options})
+        return Configuration(run=run, hyper=off_policy_presets.off_policy(run.preset, hyper))
     run = RunConfig(**options)
     return Configuration(run=run, hyper=presets.on_policy(run.preset, run.algo, hyper))
 

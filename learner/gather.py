@@ -70,6 +70,7 @@ class Gather:
         metrics: Where they are counted.
         on_event: Told joins, leaves and refusals, with the lock held.
         keep: Stores an accepted segment before it is written down and acknowledged.
+        hold_s: Seconds that an actor should wait, as far as whoever learns is concerned.
     """
 
     def __init__(
@@ -79,12 +80,14 @@ class Gather:
         metrics: LearnerMetrics,
         on_event: Callable[..., None],
         keep: Callable[[Segment], None],
+        hold_s: Callable[[], float],
     ) -> None:
         self._terms = terms
         self._ledger = ledger
         self._metrics = metrics
         self._on_event = on_event
         self._keep = keep
+        self._hold_s = hold_s
         self._roster = Roster(terms.seed, terms.generation)
         self._changed = threading.Condition()
         self._notice: Notice | None = None
@@ -279,7 +282,9 @@ class Gather:
         if segment.epoch != notice.epoch:
             return f"epoch {segment.epoch}, this is {notice.epoch}"
         lag, allowed = notice.version - segment.weights_version, self._terms.max_policy_lag
-        if allowed is not None and lag > allowed:
+        if allowed is None:
+            return ""
+        if lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
         if self._pending_steps >= _MOST_BATCHES * self._batch_steps:
             return "more waits than can be learned from in time"
@@ -303,16 +308,21 @@ class Gather:
     def _ack(self, verdict: Verdict, reason: str, segment: Segment | None) -> Ack:
         steps = 0 if segment is None else segment.num_steps
         self._metrics.received.labels(result=verdict).inc(steps)
-        is_async = self._terms.clock == "async"
-        behind = is_async and self._pending_steps >= _HELD_BACK_BATCHES * self._batch_steps
         return Ack(
             verdict=verdict,
             reason=reason,
             generation=self._terms.generation,
             epoch=self._notice.epoch if self._notice else 0,
             weights_version=self._notice.version if self._notice else 0,
-            wait_s=_HOLD_BACK_S if behind else 0.0,
+            wait_s=self._wait_s() if self._terms.clock == "async" else 0.0,
         )
+
+    def _wait_s(self) -> float:
+        """How long an actor should wait: too much to learn from is there already."""
+        if self._terms.max_policy_lag is None:
+            return self._hold_s()
+        behind = self._pending_steps >= _HELD_BACK_BATCHES * self._batch_steps
+        return _HOLD_BACK_S if behind else 0.0
 
     def _missing(self) -> str:
         """Say what a batch still waits for; empty when it is complete."""

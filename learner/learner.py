@@ -13,15 +13,15 @@ import torch
 from a2s.learner import checkpoint
 from a2s.learner.configuration import Configuration
 from a2s.learner.gather import Gather, Terms
-from a2s.learner.learning import Learning, Outcome
+from a2s.learner.learning import Outcome
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
-from a2s.learner.on_policy_learning import OnPolicyLearning
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Report, Standing
 from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.learner.service import Service
+from a2s.learner.variants import make_learning
 from a2s.learner.weights import Publisher
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.keys import Keys
@@ -31,13 +31,6 @@ from a2s.protocol.transport import Bus
 logger = logging.getLogger(__name__)
 
 POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
-
-
-def make_learning(
-    configuration: Configuration, spaces: Spaces, metrics: LearnerMetrics
-) -> Learning:
-    """The variant that a run is configured for."""
-    return OnPolicyLearning(spaces, configuration.hyper, configuration.run.seed, metrics)
 
 
 class Learner:
@@ -72,11 +65,12 @@ class Learner:
         torch.set_num_threads(self._run.threads)
         self._at = Standing()
         self._ledger = Ledger(path / "segments.log")
-        self._learning = make_learning(configuration, spaces, metrics)
+        self._learning = make_learning(configuration, spaces, path, self._ledger, metrics)
         columns = (*POSITION, *self._learning.columns)
         self._directory = RunDirectory(path, columns, self._at.wall_s)
-        self._plays_on = self._run.clock == "lockstep" and self._learning.max_policy_lag != 0
+        self._plays_on = self._run.clock == "lockstep" and self._learning.plays_on
         self._first_version = 0
+        self._updates_before = 0
         self._record = EpisodeRecord()
         self._graph = self._latest = b""
         self._bus = bus
@@ -98,7 +92,12 @@ class Learner:
             num_actors=self._run.n,
         )
         self._gather = Gather(
-            terms, self._ledger, metrics, self._directory.event, self._learning.keep
+            terms,
+            self._ledger,
+            metrics,
+            self._directory.event,
+            self._learning.keep,
+            self._learning.hold_s,
         )
         self._publisher = Publisher(bus, keys)
         self._report = Report(self._run, self._at, self._record, self._gather)
@@ -135,9 +134,9 @@ class Learner:
             if not self._plays_on or outcome.recovered:
                 self._publish()
             self._write(outcome)
-            if self._at.updates % self._run.checkpoint_every_updates == 0:
+            if self._passed(self._run.checkpoint_every_updates):
                 self._checkpoint()
-            if self._is_kept():
+            if self._passed(self._run.keep_policy_every_updates):
                 self._directory.policy(f"policies/{self._at.env_steps:09d}", self._graph)
         self._at.version = max(self._at.version, self._first_version)
         self._checkpoint()
@@ -171,7 +170,7 @@ class Learner:
         is_behind = made_by < self._first_version
         with self._metrics.update_seconds.labels(phase="compute").time():
             outcome = self._learning.learn(segments, self._progress(), is_behind=is_behind)
-        self._at.updates = self._learning.updates
+        self._updates_before, self._at.updates = self._at.updates, self._learning.updates
         self._first_version = self._at.version + 1
         return outcome
 
@@ -187,9 +186,9 @@ class Learner:
         self._at.best_recent = recent
         self._directory.policy("best", self._graph)
 
-    def _is_kept(self) -> bool:
-        every = self._run.keep_policy_every_updates
-        return every > 0 and self._learning.updates % every == 0
+    def _passed(self, every: int) -> bool:
+        """Whether the latest updates passed a multiple; never that of 0."""
+        return every > 0 and self._at.updates // every > self._updates_before // every
 
     def _recover(self, outcome: Outcome) -> None:
         """Broadcast and write down a recovery; the restored networks are published next."""
@@ -245,6 +244,7 @@ class Learner:
             self._at.version, self._at.epoch,
         )  # fmt: skip
         self._directory.update({**outcome.row, **dict(zip(POSITION, position, strict=True))})
+        self._at.rows += 1
         self._show(outcome.kl)
 
     def _checkpoint(self) -> None:
@@ -253,6 +253,7 @@ class Learner:
         tensors, scalars = self._learning.state()
         state = {
             "algorithm": scalars,
+            "rows": self._at.rows,
             "version": self._at.version,
             "epoch": self._at.epoch,
             "best_recent": self._at.best_recent,
@@ -275,7 +276,8 @@ class Learner:
         self._at.version, self._at.epoch = state["version"], state["epoch"]
         self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
         self._at.updates = self._learning.updates
-        self._directory.keep_updates(self._at.updates)
+        self._at.rows = state["rows"]
+        self._directory.keep_updates(self._at.rows)
         for episode_return, length in self._directory.read_episodes():
             self._record.add(episode_return, length)
 

@@ -50,10 +50,12 @@ class Learning(Protocol):
     Attributes:
         columns: Of ``updates.csv``, its own ones.
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+        plays_on: In lockstep, actors play the next batch while this one is learned from.
     """
 
     columns: tuple[str, ...]
     max_policy_lag: int | None
+    plays_on: bool
 
     @property
     def updates(self) -> int:
@@ -74,6 +76,10 @@ class Learning(Protocol):
         Raises:
             RunDirectoryError: It cannot be written.
         """
+        ...
+
+    def hold_s(self) -> float:
+        """Seconds that actors should wait because learning is behind; asked in ``async``."""
         ...
 
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:

@@ -1,7 +1,7 @@
 """What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import get_args
 
 from prometheus_client import (
@@ -83,6 +83,19 @@ class LearnerMetrics:
             "q_action_correlation",
             "Of Q - V with target - V before they are fitted: does Q know the actions apart?",
         )
+        self.temperature = self._unknown("temperature", "Weight of the entropy, off-policy.")
+        self.q_mean = self._unknown("q_mean", "Mean of Q on the batches, in returns, off-policy.")
+        self.replay_rows = self._unknown("replay_transitions", "Transitions in the replay.")
+        self.replay_torn = self._counter(
+            "replay_torn_records", "Pieces of segments that a kill had torn, cut when opened."
+        )
+        self.limiter_error = self._unknown(
+            "samples_per_insert_error",
+            "Transitions by which sampling is behind its wanted ratio; negative: ahead.",
+        )
+        self.limiter_waits = self._counter(
+            "samples_per_insert_waits", "Times that a side was ahead and had to wait.", "side"
+        )
         self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
         self.recovery_best = self._unknown("recovery_best_return", "r* of equation 5.")
         self.epoch = self._gauge("epoch", "Recovery epoch: recoveries so far.")
@@ -147,6 +160,17 @@ class LearnerMetrics:
             self.recovery_return.set(stats.recovery.r)
             best = stats.recovery.r_best
             self.recovery_best.set(stats.recovery.r if best is None else best)
+
+    def show_off_policy(self, row: Mapping[str, float], gradient_steps: int) -> None:
+        """Show the means over the updates of a round, and how many they were."""
+        self.updates.inc()
+        for network in ("q", "policy"):
+            self.gradient_steps.labels(network=network).inc(gradient_steps)
+            self.loss.labels(loss=network).set(row[f"{network}_loss"])
+        self.loss.labels(loss="distil").set(row["distil_loss"])
+        self.entropy.set(row["entropy"])
+        self.temperature.set(row["temperature"])
+        self.q_mean.set(row["q_mean"])
 
     def show_episodes(self, returns: Sequence[float], lengths: Sequence[int]) -> None:
         """Show the latest episodes."""

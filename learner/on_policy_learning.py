@@ -44,6 +44,7 @@ class OnPolicyLearning:
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
         self.max_policy_lag: int | None = hyper.max_policy_lag
+        self.plays_on = hyper.max_policy_lag > 0
 
     @property
     def updates(self) -> int:
@@ -63,6 +64,10 @@ class OnPolicyLearning:
 
     def keep(self, segment: Segment) -> None:
         """Nothing is stored: a batch is forgotten once it was learned from."""
+
+    def hold_s(self) -> float:
+        """None: whoever gathers holds actors back while a batch waits."""
+        return 0.0
 
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
         """Make one update, or a recovery."""

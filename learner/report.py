@@ -22,7 +22,8 @@ class Standing:
         generation: Which start of the learner this is.
         env_steps: Environment steps learned from, those of earlier starts included.
         steps_at_start: The same, when this learner started.
-        updates: Batches learned from.
+        updates: Updates made.
+        rows: Rows of ``updates.csv``.
         version: Newest weights.
         epoch: Recoveries.
         best_recent: Best mean return of 10 episodes in a row; ``None`` before the first.
@@ -35,6 +36,7 @@ class Standing:
     env_steps: int = 0
     steps_at_start: int = 0
     updates: int = 0
+    rows: int = 0
     version: int = 0
     epoch: int = 0
     best_recent: float | None = None

@@ -37,6 +37,9 @@ MAX_BYTES: dict[type, int] = {
     messages.RecoveryEvent: MIB,
     messages.ActorStatus: MIB,
     messages.RunStatus: 16 * MIB,
+    messages.ReplayInfo: MIB,
+    messages.ReplayRequest: MIB,
+    messages.ReplaySample: 16 * MIB,
 }
 _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 _DTYPE = np.dtype("<f4")

@@ -8,6 +8,8 @@
 ``a2s/RUN/recovery``      publication: RecoveryEvent
 ``a2s/RUN/actor/ACTOR``   publication: ActorStatus
 ``a2s/RUN/status``        query: (empty) -> RunStatus
+``a2s/RUN/replay/info``   query: (empty) -> ReplayInfo
+``a2s/RUN/replay/sample`` query: ReplayRequest -> ReplaySample or Refusal
 ``a2s/RUN/live/...``      liveliness tokens: ``learner``, ``actor/ACTOR``
 ========================  =====================================================
 """
@@ -69,6 +71,16 @@ class Keys:
     def status(self) -> str:
         """Where the learner tells how the run goes."""
         return self._key("status")
+
+    @property
+    def replay_info(self) -> str:
+        """Where the learner tells what its replay holds."""
+        return self._key("replay/info")
+
+    @property
+    def replay_sample(self) -> str:
+        """Where batches are drawn from the learner's replay."""
+        return self._key("replay/sample")
 
     def actor_status(self, actor: str = "*") -> str:
         """Where an actor, or every one, tells its account."""

@@ -128,6 +128,7 @@ def torchrl_s(segments: list[Segment], capacity: int) -> Contenders:
     """Make torchrl's."""
     data: Any = importlib.import_module("torchrl.data")
     tensordict: Any = importlib.import_module("tensordict")
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it writes to standard output
     made = [
         tensordict.TensorDict(
             {k: torch.from_numpy(v) for k, v in columns(s).items()}, batch_size=STEPS
@@ -172,7 +173,6 @@ def main() -> None:
     parser.add_argument("--capacity", type=int, default=1 << 18)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
     segments = [make_segment(i) for i in range(20)]
     with tempfile.TemporaryDirectory() as folder:
         stored = directory.create(Path(folder) / "replay", "E", SPACES, options.capacity)

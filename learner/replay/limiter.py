@@ -66,6 +66,11 @@ class Limiter:
         """Transitions by which sampling is behind; negative when it is ahead."""
         return self._ratio * (self.inserts - self._min_size) - self.samples
 
+    @property
+    def excess(self) -> float:
+        """Transitions by which the longest segment would raise the error above the band."""
+        return self.error + self._ratio * self._segment_steps - self._band
+
     def may_insert(self, steps: int | None = None) -> bool:
         """Whether an insertion keeps within the band; counts a wait if not.
 

@@ -47,7 +47,7 @@ class Priorities:
         slot = begin % len(self._priority)
         self._priority[slot : slot + end - begin] = self._highest
         if self._tree is not None:
-            value = (self._highest + _EPSILON) ** self._alpha
+            value = float(self._leaf(np.array([self._highest], np.float32))[0])
             self._tree.assign_range(slot, slot + end - begin, value)
 
     def evict(self, begin: int, end: int) -> None:
@@ -81,24 +81,23 @@ class Priorities:
         size = len(self._priority)
         if self._tree is None:
             slots = np.arange(begin, end) % size
-            leaves = np.zeros(size)
-            leaves[slots] = self._leaf(self._priority[slots].astype(np.float64))
+            leaves = np.zeros(size, np.float32)
+            leaves[slots] = self._leaf(self._priority[slots])
             self._tree = SumTree(leaves)
         slot = self._tree.draw(batch_size, rng)
         leaf = self._tree.leaves.take(slot)
-        weight = (leaf / leaf.min()) ** -beta
-        return end - 1 - (end - 1 - slot) % size, weight.astype(np.float32)
+        weight = (leaf / leaf.min()) ** np.float32(-beta)
+        return end - 1 - (end - 1 - slot) % size, weight
 
     def assign(self, row: Rows, priority: Floats) -> None:
         """Set the priorities of live rows, ``[B]``, for example their absolute TD errors."""
         slot = row % len(self._priority)
         self._highest = max(self._highest, float(priority.max(initial=0.0)))
-        self._priority[slot] = priority
+        rounded = priority.astype(np.float32)  # as a resumed run will read it
+        self._priority[slot] = rounded
         if self._tree is not None:
-            # As it will be read again from the file: a resumed run draws the same.
-            rounded = priority.astype(np.float32).astype(np.float64)
             self._tree.assign(slot, self._leaf(rounded))
 
-    def _leaf(self, priority: Floats) -> Floats:
-        leaf: Floats = (priority + _EPSILON) ** self._alpha
+    def _leaf(self, priority: Array) -> Array:
+        leaf: Array = (priority + np.float32(_EPSILON)) ** np.float32(self._alpha)
         return leaf

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from a2s import __version__
-from a2s.commands import options
+from a2s.commands import options, replay_cli
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
@@ -24,6 +24,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Train continuous control with many actors and one learner: the policy suggests, Q picks.",
 )
+app.add_typer(replay_cli.app, name="replay")
 
 
 def _show_version(value: bool) -> None:

@@ -39,9 +39,11 @@ class _Run:
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
             self.keep,
+            lambda: 1.5 if self.is_far_behind else 0.0,
         )
         self.kept: list[Segment] = []
         self.disk_is_full = False
+        self.is_far_behind = False
 
     def keep(self, segment: Segment) -> None:
         """Store a segment, unless the disk is full."""
@@ -137,6 +139,17 @@ def test_any_age_may_be_allowed(tmp_path: Path, make_notice: MakeNotice) -> None
     run.gather.publish(make_notice(generation=2, version=500, quota_steps=4), 8)
     run.join("a")
     assert run.gather.segment(_segment(weights_version=1)).verdict == "accepted"
+
+
+def test_actors_are_held_back_while_learning_is_too_far_behind(
+    tmp_path: Path, make_notice: MakeNotice
+) -> None:
+    run = _Run(tmp_path, max_policy_lag=None, clock="async")
+    run.gather.publish(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.join("a")
+    assert run.gather.segment(_segment(seq=0)).wait_s == 0.0
+    run.is_far_behind = True
+    assert run.gather.segment(_segment(seq=1)).wait_s == 1.5
 
 
 def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota(

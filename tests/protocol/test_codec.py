@@ -18,6 +18,7 @@ from a2s.protocol.errors import (
     SchemaMismatchError,
 )
 from a2s.protocol.messages import (
+    COLUMNS,
     Ack,
     ActorStatus,
     Array,
@@ -26,6 +27,9 @@ from a2s.protocol.messages import (
     Notice,
     RecoveryEvent,
     Refusal,
+    ReplayInfo,
+    ReplayRequest,
+    ReplaySample,
     RunStatus,
     Segment,
     Spaces,
@@ -182,6 +186,32 @@ GOLDEN: list[tuple[Message, bytes]] = [
         b"\xafenv_steps_per_s" + FLOAT64_HALF +
         b"\xabwaiting_for\xa0\xa6actors\x91\x8a" + ACTOR_STATUS_FIELDS,
     ),
+    (
+        ReplayInfo(
+            run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3
+        ),
+        b"\x89\xa3a2s\x01\xa4kind\xaaReplayInfo\xa3run\xa1r\xaageneration\x01"
+        b"\xa6env_id\xa1E\xa6spaces" + SPACES_BYTES +
+        b"\xa8capacity\x09\xa5begin\x02\xa3end\x03",
+    ),
+    (
+        ReplayRequest(
+            batch_size=1, seed=2, n_step=3, gamma=0.5, prioritised=True, beta=0.5,
+            fields=("obs", "row"),
+        ),
+        b"\x89\xa3a2s\x01\xa4kind\xadReplayRequest\xaabatch_size\x01\xa4seed\x02"
+        b"\xa6n_step\x03\xa5gamma" + FLOAT64_HALF + b"\xabprioritised\xc3"
+        b"\xa4beta" + FLOAT64_HALF + b"\xa6fields\x92\xa3obs\xa3row",
+    ),
+    (
+        ReplaySample(
+            begin=0, end=5, obs=f32([[0.5]]), action=None, reward=f32([1]), next_obs=None,
+            discount=None, weight=None, row=(4,),
+        ),
+        b"\x8b\xa3a2s\x01\xa4kind\xacReplaySample\xa5begin\x00\xa3end\x05"
+        b"\xa3obs" + F4_1_1 + HALF + b"\xa6action\xc0\xa6reward" + F4_1 + ONE +
+        b"\xa8next_obs\xc0\xa8discount\xc0\xa6weight\xc0\xa3row\x91\x04",
+    ),
 ]  # fmt: skip
 
 names = st.builds(str.__add__, st.sampled_from("aZ0_"), st.text("abcXYZ019_.-", max_size=95))
@@ -230,6 +260,24 @@ def segments(draw: st.DrawFn) -> Segment:
         truncated=end[1],
         episode_return=draw(finite),
         episode_length=draw(st.integers(t, 2**63 - 1)),
+    )
+
+
+@st.composite
+def samples(draw: st.DrawFn) -> ReplaySample:
+    """Make samples whose columns agree, with some of them missing."""
+    b, d, a = draw(sizes), draw(sizes), draw(sizes)
+    shapes = {"obs": (b, d), "action": (b, a), "next_obs": (b, d)}
+    columns = {
+        name: draw(st.none() | floats32(*shapes.get(name, (b,))))
+        for name in ("obs", "action", "next_obs", "discount", "weight")
+    }
+    return ReplaySample(
+        begin=draw(integers),
+        end=draw(integers),
+        reward=draw(floats32(b)),
+        row=tuple(draw(st.just([]) | st.lists(integers, min_size=b, max_size=b))),
+        **columns,
     )
 
 
@@ -315,6 +363,27 @@ ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
         waiting_for=texts,
         actors=st.lists(statuses, max_size=3).map(tuple),
     ),
+    ReplayInfo: st.builds(
+        ReplayInfo,
+        run=texts,
+        generation=integers,
+        env_id=texts,
+        spaces=spaces(),
+        capacity=integers,
+        begin=integers,
+        end=integers,
+    ),
+    ReplayRequest: st.builds(
+        ReplayRequest,
+        batch_size=st.integers(1, 4096),
+        seed=counts,
+        n_step=st.integers(1, 64),
+        gamma=st.floats(0.0, 1.0),
+        prioritised=st.booleans(),
+        beta=st.floats(0.0, 1.0),
+        fields=st.lists(st.sampled_from(COLUMNS), min_size=1, unique=True).map(tuple),
+    ),
+    ReplaySample: samples(),
 }
 anything = st.recursive(
     st.none() | st.booleans() | integers | numbers | texts | st.binary(max_size=8),

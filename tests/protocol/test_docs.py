@@ -89,6 +89,8 @@ def test_the_keys_are_those_of_the_code() -> None:
         keys.weights,
         keys.recovery,
         keys.status,
+        keys.replay_info,
+        keys.replay_sample,
         keys.actor_status("ACTOR"),
         keys.live_learner,
         keys.live_actor("ACTOR"),

@@ -19,6 +19,8 @@ def all_keys(keys: Keys, actor: str) -> list[str]:
         keys.recovery,
         keys.actor_status(actor),
         keys.status,
+        keys.replay_info,
+        keys.replay_sample,
         keys.live_learner,
         keys.live_actor(actor),
     ]
@@ -34,6 +36,8 @@ def test_the_keys_are_those_of_the_protocol() -> None:
         "a2s/walk/recovery",
         "a2s/walk/actor/h-1",
         "a2s/walk/status",
+        "a2s/walk/replay/info",
+        "a2s/walk/replay/sample",
         "a2s/walk/live/learner",
         "a2s/walk/live/actor/h-1",
     ]

@@ -20,14 +20,14 @@ def filled(replay: Replay, steps: int) -> Replay:
 @pytest.mark.parametrize("size", [1, 16, 17, 1024, 1025, 20_000, 300_000])
 def test_leaves_are_drawn_in_proportion(size: int, rng: np.random.Generator) -> None:
     """At every depth of the tree: the share of each tenth of the leaves is right."""
-    leaves = rng.random(size) ** 4
+    leaves = rng.random(size, dtype=np.float32) ** 4
     leaves[rng.random(size) < 0.3] = 0.0
     leaves[0] = 0.5
     tree = SumTree(leaves)
     drawn = np.concatenate([tree.draw(1000, rng) for _ in range(100)])
     assert (leaves[drawn] > 0).all()
     tenth = np.arange(size) * 10 // size
-    share = np.bincount(tenth, weights=leaves, minlength=10) / leaves.sum()
+    share = np.bincount(tenth, weights=leaves, minlength=10) / leaves.sum(dtype=np.float64)
     found = np.bincount(tenth[drawn], minlength=10) / len(drawn)
     assert found == pytest.approx(share, abs=0.006)  # four standard deviations, at most
 
@@ -40,7 +40,7 @@ def test_leaves_are_drawn_in_proportion(size: int, rng: np.random.Generator) -> 
 )
 def test_the_tree_is_the_sum_of_its_leaves(size: int, sets: list[tuple[int, int, float]]) -> None:
     """Whether they are set one by one or by ranges; of two values for one leaf the last counts."""
-    expected = np.linspace(0.0, 1.0, size)
+    expected = np.linspace(0.0, 1.0, size, dtype=np.float32)
     tree = SumTree(expected)
     for seed, count, value in sets:
         rng = np.random.default_rng(seed)
@@ -48,12 +48,12 @@ def test_the_tree_is_the_sum_of_its_leaves(size: int, sets: list[tuple[int, int,
         end = min(size, begin + count)
         tree.assign_range(begin, end, value)
         expected[begin:end] = value
-        leaf, values = rng.integers(0, size, count), rng.random(count)
+        leaf, values = rng.integers(0, size, count), rng.random(count, dtype=np.float32)
         tree.assign(leaf, values)
         for where, what in zip(leaf, values, strict=True):
             expected[where] = what
         assert np.array_equal(tree.leaves[:size], expected)
-        assert tree.total == pytest.approx(expected.sum())
+        assert tree.total == pytest.approx(expected.sum(dtype=np.float64), rel=1e-5)
         if expected.sum() > 0:
             assert (expected[tree.draw(64, rng)] > 0).all()
 

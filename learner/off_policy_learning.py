@@ -1,0 +1,199 @@
+"""The off-policy variant: what was played is kept in a replay, and learned from again and again."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.transitions import Transitions
+from a2s.learner.learning import Outcome, Quota
+from a2s.learner.ledger import Ledger
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.off_policy_export import export
+from a2s.learner.replay import description, directory
+from a2s.learner.replay.limiter import Limiter
+from a2s.learner.replay.replay import Replay
+from a2s.protocol.errors import A2SError
+from a2s.protocol.messages import Segment, Spaces
+
+_HOLD_S = (0.02, 2.0)
+_SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
+COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *_SHOWN)
+
+
+class OffPolicyLearning:
+    """Algorithm 2 of the paper and what goes past it, behind `a2s.learner.learning.Learning`.
+
+    Args:
+        env_id: Environment.
+        spaces: Its spaces.
+        hyper: Hyperparameters.
+        seed: Of the run.
+        path: Directory of the run; the replay is ``replay/`` in it.
+        ledger: Knows which segments were acknowledged.
+        metrics: Where updates are shown.
+
+    Raises:
+        RunDirectoryError: The replay cannot be made or opened.
+        UsageError: The hyperparameters contradict each other.
+    """
+
+    columns = COLUMNS
+    max_policy_lag: int | None = None
+    plays_on = False
+
+    def __init__(
+        self,
+        env_id: str,
+        spaces: Spaces,
+        hyper: OffPolicyHyper,
+        seed: int,
+        path: Path,
+        ledger: Ledger,
+        metrics: LearnerMetrics,
+    ) -> None:
+        self._hyper = hyper
+        self._metrics = metrics
+        self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
+        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+        samples_per_step = hyper.updates_per_step * hyper.batch_rows
+        self._limiter = Limiter(
+            samples_per_step,
+            hyper.warm_up_steps,
+            max(hyper.lead_steps * samples_per_step, hyper.batch_rows),
+            segment_steps=hyper.send_every_steps,
+            batch_size=hyper.batch_rows,
+        )
+        self._updates = 0
+        self._update_s = 0.01
+        self._shown_waits: dict[str, int] = {}
+        self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
+        self._limiter.count_insert(self._replay.end)
+        metrics.replay_torn.inc(self._replay.torn_records)
+        self._show()
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates made."""
+        return self._updates
+
+    def quota(self, num_envs: int) -> Quota:
+        """As many steps of every environment as an actor sends at once."""
+        steps = self._hyper.send_every_steps
+        return Quota(steps * num_envs, steps, 0)
+
+    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
+        """Uniform actions until there is enough to learn from, then the suggester."""
+        warms_up = self._updates == 0
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up)
+        return export(suggester, version, metadata)
+
+    def keep(self, segment: Segment) -> None:
+        """Put a segment into the replay; it survives the death of this process then."""
+        self._replay.insert(segment)
+        self._limiter.count_insert(segment.num_steps)
+
+    def hold_s(self) -> float:
+        """Time that learning needs to be back within its band, at the pace of its last round."""
+        if self._limiter.may_insert():
+            return 0.0
+        behind_s = self._limiter.excess * self._update_s / self._hyper.batch_rows
+        return min(max(behind_s, _HOLD_S[0]), _HOLD_S[1])
+
+    def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
+        """Make the updates that are due, but then let actors have the new weights.
+
+        More steps arrive meanwhile: so a round ends at twice the updates that its own ask for.
+        """
+        obs = np.concatenate([segment.obs for segment in segments])
+        self._algorithm.observe(torch.from_numpy(obs))
+        most = 2 * math.ceil(len(obs) * self._hyper.updates_per_step)
+        total, made, begin_s = torch.zeros(len(_SHOWN)), 0, time.monotonic()
+        while made < most and self._limiter.may_sample():
+            stats = self._update()
+            total += torch.stack([getattr(stats, name) for name in _SHOWN])
+            made += 1
+        if not self._algorithm.is_finite():
+            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
+        means: dict[str, float] = {}
+        if made:
+            self._update_s = (time.monotonic() - begin_s) / made
+            means = dict(zip(_SHOWN, (total / made).tolist(), strict=True))
+            self._metrics.show_off_policy(means, made)
+        self._show()
+        own = {
+            "gradient_steps": made,
+            "replay_rows": len(self._replay),
+            "samples_per_insert_error": self._limiter.error,
+        }
+        return Outcome(dict.fromkeys(_SHOWN) | own | means)
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Of the algorithm, the limiter and the draws; the replay keeps itself."""
+        return self._algorithm.state(), {
+            "updates": self._updates,
+            "limiter": self._limiter.state(),
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
+        """Go back to a state; what was inserted since then is still there, and due."""
+        self._algorithm.load(tensors)
+        self._updates = scalars["updates"]
+        self._limiter.load({**scalars["limiter"], "inserts": self._replay.end})
+        self._shown_waits = {
+            "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
+        }  # fmt: skip
+        self._rng.bit_generator.state = scalars["rng"]
+
+    def close(self) -> None:
+        """Close the replay."""
+        self._replay.close()
+
+    def _update(self) -> OffPolicyStats:
+        hyper = self._hyper
+        drawn = self._replay.sample(
+            hyper.batch_rows,
+            self._rng,
+            n_step=hyper.n_step,
+            gamma=hyper.gamma,
+            prioritised=hyper.prioritised,
+            beta=hyper.importance_exponent,
+        )
+        batch = Transitions(
+            *(torch.from_numpy(getattr(drawn, name)) for name in Transitions._fields)
+        )
+        stats = self._algorithm.update(batch)
+        if hyper.prioritised:
+            self._replay.update_priorities(drawn.row, stats.error.numpy())
+        self._limiter.count_sample()
+        self._updates += 1
+        return stats
+
+    def _show(self) -> None:
+        metrics, limiter = self._metrics, self._limiter
+        metrics.replay_rows.set(len(self._replay))
+        metrics.limiter_error.set(limiter.error)
+        waits = {"insert": limiter.insert_waits, "sample": limiter.sample_waits}
+        for side, count in waits.items():
+            metrics.limiter_waits.labels(side=side).inc(count - self._shown_waits.get(side, 0))
+        self._shown_waits = waits
+
+
+def _open(path: Path, env_id: str, spaces: Spaces, hyper: OffPolicyHyper, ledger: Ledger) -> Replay:
+    """Open the replay that is there, given the wanted capacity; else make one."""
+    sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
+    alpha = hyper.priority_exponent
+    if not (path / description.NAME).exists():
+        return directory.create(path, env_id, spaces, alpha=alpha, **sizes)
+    return directory.open_existing(
+        path, env_id=env_id, spaces=spaces, is_known=ledger.knows, alpha=alpha, **sizes
+    )

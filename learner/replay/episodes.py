@@ -1,0 +1,98 @@
+"""Whole episodes, put together again from the segments that a replay was filled with."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from a2s.learner.replay import description
+from a2s.learner.replay.columns import Columns
+from a2s.learner.replay.record import STARTS, TERMINATED, TRUNCATED, Record
+from a2s.learner.replay.ring import Ring
+from a2s.learner.replay.store import Store
+from a2s.protocol.messages import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Episode:
+    """An episode of T steps from its first to its last.
+
+    Attributes:
+        obs: Observations, the last one included, float32 ``[T + 1, D]``.
+        action: Executed suggestions, canonical, not clipped, float32 ``[T, A]``.
+        reward: float32 ``[T]``.
+        terminated: The last step reached a terminal state; else it hit a time limit.
+    """
+
+    obs: Array
+    action: Array
+    reward: Array
+    terminated: bool
+
+
+class StoredEpisodes:
+    """The episodes of a replay directory, also while a learner writes to it.
+
+    Use::
+
+        episodes = StoredEpisodes(path)
+        for episode in episodes: ...
+
+    Args:
+        path: The directory.
+
+    Attributes:
+        about: Environment and capacity.
+        left_out: Episodes seen so far of which not all steps are there: the first ones are
+            evicted, some were lost, or it is not over yet.
+
+    Raises:
+        RunDirectoryError: There is no replay, or it is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.about = description.read(path)
+        store = Store(path, self.about, writable=False)
+        self._ring = Ring(self.about.capacity, store.slots)
+        records, _ = store.restore(self._ring, None)
+        self._records = records.live(self.about.capacity)
+        self.left_out = 0
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Yield whole episodes, by their ends."""
+        self.left_out = 0
+        begun: dict[int, list[Record]] = {}
+        for record in self._records:
+            known = begun.pop(record.previous, [])
+            starts = bool(record.flags & STARTS) and record.row >= self._ring.begin
+            records = [*known, record] if known or starts else []
+            if not record.flags & (TERMINATED | TRUNCATED):
+                begun[record.end - 1] = records
+                continue
+            episode = self._join(records)
+            if episode is None:
+                self.left_out += 1
+            else:
+                yield episode
+        self.left_out += len(begun)
+
+    def _join(self, records: list[Record]) -> Episode | None:
+        """Put the rows of an episode together, unless some were overwritten meanwhile."""
+        pieces = []
+        for record in records:
+            rows = self._ring.stretch(record.row, record.steps)
+            piece = Columns(
+                rows.obs.copy(), rows.action.copy(), rows.next_obs.copy(), rows.outcome.copy()
+            )
+            if piece.checksum() != record.rows_crc:
+                return None
+            pieces.append(piece)
+        if not pieces:
+            return None
+        return Episode(
+            obs=np.concatenate([*(p.obs for p in pieces), pieces[-1].next_obs[-1:]]),
+            action=np.concatenate([p.action for p in pieces]),
+            reward=np.concatenate([p.outcome[:, 0] for p in pieces]),
+            terminated=bool(records[-1].flags & TERMINATED),
+        )

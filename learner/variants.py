@@ -1,0 +1,31 @@
+"""The variant that a run is configured for."""
+
+from pathlib import Path
+
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.configuration import Configuration
+from a2s.learner.learning import Learning
+from a2s.learner.ledger import Ledger
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.off_policy_learning import OffPolicyLearning
+from a2s.learner.on_policy_learning import OnPolicyLearning
+from a2s.protocol.messages import Spaces
+
+
+def make_learning(
+    configuration: Configuration,
+    spaces: Spaces,
+    path: Path,
+    ledger: Ledger,
+    metrics: LearnerMetrics,
+) -> Learning:
+    """Make it for a run in a directory.
+
+    Raises:
+        RunDirectoryError: Its replay cannot be made or opened.
+        UsageError: Its hyperparameters contradict each other.
+    """
+    run, hyper = configuration.run, configuration.hyper
+    if isinstance(hyper, OffPolicyHyper):
+        return OffPolicyLearning(run.env, spaces, hyper, run.seed, path, ledger, metrics)
+    return OnPolicyLearning(spaces, hyper, run.seed, metrics)

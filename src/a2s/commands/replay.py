@@ -1,0 +1,112 @@
+"""``a2s replay``: looking into a replay, in a directory or served by a running learner."""
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from a2s.learner.replay import description, directory
+from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.transitions import Transitions
+from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import COLUMNS
+from a2s.protocol.zenoh_bus import ZenohBus
+
+
+def find(path: Path) -> Path:
+    """Find the replay of a run directory, or take the path itself for one."""
+    inside = path / "replay"
+    return inside if (inside / description.NAME).exists() else path
+
+
+def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
+    """Say what a replay holds.
+
+    Args:
+        path: A run or replay directory.
+        connect: Endpoint of a learner, when there is no path.
+        run: Its run.
+
+    Returns:
+        For example ``{"env": "Hopper-v5", "transitions": 81920, ...}``.
+
+    Raises:
+        UsageError: Both, or neither, of path and endpoint are given.
+        A2SError: It cannot be read or reached.
+    """
+    if _is_stored(path, connect):
+        assert path is not None
+        replay = directory.look_at(find(path))
+        about, begin, end = replay.about, replay.begin, replay.end
+        more: dict[str, Any] = {"torn_records": replay.torn_records}
+        return _describe(about.env_id, about.spaces, about.capacity, begin, end) | more
+    assert connect is not None
+    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+        told = RemoteReplay(bus, Keys(run)).info()
+        more = {"run": told.run, "generation": told.generation}
+        found = _describe(told.env_id, told.spaces, told.capacity, told.begin, told.end)
+        return found | more
+
+
+def sample(
+    path: Path | None, connect: str | None, run: str, batch_size: int, seed: int, **how: Any
+) -> Transitions:
+    """Draw a batch.
+
+    Args:
+        path: A run or replay directory.
+        connect: Endpoint of a learner, when there is no path.
+        run: Its run.
+        batch_size: B.
+        seed: Of the draw.
+        how: ``n_step``, ``gamma``, ``prioritised``, ``beta``, as `Replay.sample` takes them.
+
+    Raises:
+        UsageError: Both, or neither, of path and endpoint are given.
+        A2SError: It cannot be read or reached, or it is empty.
+    """
+    rng = np.random.default_rng(seed)
+    if _is_stored(path, connect):
+        assert path is not None
+        return directory.look_at(find(path)).sample(batch_size, rng, **how)
+    assert connect is not None
+    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+        return RemoteReplay(bus, Keys(run)).sample(batch_size, rng, **how)
+
+
+def write(batch: Transitions, output: Path) -> None:
+    """Write a batch as an ``.npz`` file, one array a column.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
+    try:
+        with output.open("wb") as file:
+            np.savez(file, **as_arrays(batch))
+    except OSError as error:
+        raise UsageError(f"{output}: {error.strerror}") from None
+
+
+def as_arrays(batch: Transitions) -> dict[str, Any]:
+    """Name the columns of a batch."""
+    return {name: getattr(batch, name) for name in COLUMNS}
+
+
+def _is_stored(path: Path | None, connect: str | None) -> bool:
+    if (path is None) == (connect is None):
+        raise UsageError("replay: name a run directory, or a learner with --connect ENDPOINT")
+    return path is not None
+
+
+def _describe(env_id: str, spaces: Any, capacity: int, begin: int, end: int) -> dict[str, Any]:
+    return {
+        "env": env_id,
+        "obs_size": spaces.obs_size,
+        "action_size": spaces.action_size,
+        "capacity": capacity,
+        "transitions": end - begin,
+        "begin": begin,
+        "end": end,
+    }

@@ -1,0 +1,102 @@
+"""The command line of ``a2s replay``."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from a2s.commands import options
+
+app = typer.Typer(no_args_is_help=True, help="Look into a replay; export it.")
+
+Stored = Annotated[
+    Path | None, typer.Argument(help="A run directory, or the replay directory in it.")
+]
+Served = Annotated[
+    str | None,
+    typer.Option("--connect", envvar="A2S_CONNECT", help="Ask the learner that listens here."),
+]
+
+
+@app.command()
+def info(
+    run_dir: Stored = None,
+    connect: Served = None,
+    run: options.Run = None,
+    json_: options.Json = False,
+) -> None:
+    """Say what a replay holds: of a run directory, or of a running learner."""
+    from a2s.commands import replay
+
+    found = replay.info(run_dir, connect, run or "default")
+    if json_:
+        typer.echo(json.dumps(found))
+        return
+    for name, value in found.items():
+        typer.echo(f"{name:<13}{value}")
+
+
+@app.command()
+def sample(
+    run_dir: Stored = None,
+    connect: Served = None,
+    run: options.Run = None,
+    batch_size: Annotated[int, typer.Option(min=1, max=4096, help="Transitions.")] = 256,
+    seed: options.Seed = None,
+    n_step: Annotated[int, typer.Option(min=1, max=64, help="Steps of each, at most.")] = 1,
+    gamma: Annotated[float, typer.Option(min=0.0, max=1.0, help="Discount of a step.")] = 0.99,
+    prioritised: Annotated[
+        bool, typer.Option("--prioritised", help="Draw by priority, not uniformly.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the arrays there, as .npz.")
+    ] = None,
+    json_: options.Json = False,
+) -> None:
+    """Draw a batch of transitions; the same seed draws the same while nothing is inserted."""
+    from a2s.commands import replay
+
+    batch = replay.sample(
+        run_dir, connect, run or "default", batch_size, seed or 0,
+        n_step=n_step, gamma=gamma, prioritised=prioritised,
+    )  # fmt: skip
+    if output is not None:
+        replay.write(batch, output)
+    arrays = replay.as_arrays(batch)
+    if json_:
+        typer.echo(json.dumps({name: array.tolist() for name, array in arrays.items()}))
+        return
+    for name, array in arrays.items():
+        low, high, mean = array.min(), array.max(), array.mean()
+        typer.echo(f"{name:<9}{array.shape!s:<12} {low:.4g} to {high:.4g}, mean {mean:.4g}")
+
+
+@app.command()
+def export(
+    run_dir: Annotated[
+        Path, typer.Argument(help="A run directory, or the replay directory in it.")
+    ],
+    dataset: Annotated[str, typer.Argument(help="Name of the data set, for example hopper-v0.")],
+    root: Annotated[
+        Path | None,
+        typer.Option(envvar="A2S_ROOT", help="Where to keep it.", show_default="Minari's own"),
+    ] = None,
+    json_: options.Json = False,
+) -> None:
+    """Write whole episodes as a Minari data set, for `minari.load_dataset`.
+
+    Episodes of which not all steps are there are left out and counted: those whose beginning was
+    evicted, with a segment lost, or not over yet. Needs a2s[minari].
+    """
+    from a2s.commands import replay
+    from a2s.commands.minari_export import export as write
+
+    found = write(replay.find(run_dir), dataset, root)
+    if json_:
+        typer.echo(json.dumps(found))
+        return
+    typer.echo(
+        f"{found['path']}: {found['episodes']} episodes, {found['steps']} steps; "
+        f"{found['left_out']} episodes are not whole and were left out"
+    )

@@ -1,0 +1,197 @@
+"""``a2s replay``: what it says of a replay, stored or served, and what it exports."""
+
+import json
+import socket
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
+
+from a2s import cli
+from a2s.learner.replay import directory
+from a2s.learner.replay.episodes import StoredEpisodes
+from a2s.learner.replay.served import ServedReplay
+from a2s.protocol.keys import Keys
+from a2s.protocol.zenoh_bus import ZenohBus
+
+
+def run(*arguments: object, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Run the command line, and give its exit code."""
+    monkeypatch.setattr(sys, "argv", ["a2s", "replay", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    """A run directory with a replay of two streams, that have lost segments and evicted rows."""
+    replay = directory.create(tmp_path / "run" / "replay", ENV_ID, SPACES, 24)
+    oracle = Oracle(24)
+    for actor, steps, end, lost in (
+        ("a", 5, "", False),  # rows 0 to 4: evicted in part
+        ("b", 2, "", False),
+        ("a", 3, "terminated", False),  # its first step is no longer there
+        ("a", 4, "", False),  # rows 10 to 13
+        ("b", 3, "truncated", False),  # rows 14 to 16, after 5 and 6
+        ("a", 2, "truncated", False),  # rows 17 and 18
+        ("b", 2, "", False),
+        ("b", 2, "", True),
+        ("b", 2, "terminated", False),  # a segment is lost
+        ("a", 3, "terminated", False),  # rows 23 to 25
+        ("b", 1, "", False),  # not over
+    ):
+        segment = oracle.play(actor, 0, steps, end, lost=lost)
+        if not lost:
+            replay.insert(segment)
+    assert (replay.begin, replay.end) == (3, 27)
+    replay.close()
+    return tmp_path / "run"
+
+
+def test_episodes_are_whole_or_left_out(stored: Path) -> None:
+    """Whatever lay between their segments."""
+    episodes = StoredEpisodes(stored / "replay")
+    found = [(e.obs[:, 0].tolist(), e.terminated) for e in episodes]
+    assert found == [
+        ([1000.0, 1001.0, 1002.0, 1003.0, 1004.0, 1005.0], False),
+        ([9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0], False),
+        ([16.0, 17.0, 18.0, 19.0], True),
+    ]
+    assert episodes.left_out == 4
+    for episode in episodes:
+        assert np.array_equal(episode.action, episode.obs[:-1] / 2)
+        assert np.array_equal(episode.reward, episode.obs[:-1, 0] / 2)
+
+
+def test_rows_that_are_overwritten_while_we_read_are_left_out(stored: Path) -> None:
+    """A learner may go on meanwhile."""
+    episodes = StoredEpisodes(stored / "replay")
+    replay = directory.open_existing(stored / "replay")
+    for seq in range(60):
+        replay.insert(make_segment([0.0, 1.0, 2.0], [7.0, 7.0], actor="c", seq=seq))
+    replay.close()
+    assert list(episodes) == []
+    assert episodes.left_out == 7
+
+
+def test_a_stored_replay_is_described_and_sampled(
+    stored: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the run directory, or the replay in it."""
+    for path in (stored, stored / "replay"):
+        assert run("info", path, "--json", monkeypatch=monkeypatch) == 0
+        assert json.loads(capsys.readouterr().out) == {
+            "env": ENV_ID, "obs_size": 2, "action_size": 2, "capacity": 24, "transitions": 24,
+            "begin": 3, "end": 27, "torn_records": 0,
+        }  # fmt: skip
+    drawn = []
+    for _ in range(2):
+        arguments = ("sample", stored, "--batch-size", 8, "--seed", 5, "--json")
+        assert run(*arguments, monkeypatch=monkeypatch) == 0
+        drawn.append(capsys.readouterr().out)
+    assert drawn[0] == drawn[1]
+    batch = json.loads(drawn[0])
+    assert len(batch["row"]) == 8
+    assert np.array_equal(np.array(batch["action"]), np.array(batch["obs"]) / 2)
+
+
+def test_a_served_replay_is_described_and_sampled_the_same(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Over a real socket."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    with closing(ZenohBus.listen(endpoint)) as bus:
+        replay = directory.open_existing(stored / "replay")
+        ServedReplay(bus, Keys("walk"), replay, generation=3).open()
+        there = ("--connect", endpoint, "--run", "walk")
+        assert run("info", *there, "--json", monkeypatch=monkeypatch) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["begin"], found["end"], found["generation"]) == (3, 27, 3)
+        output = tmp_path / "batch.npz"
+        arguments = ("sample", *there, "--n-step", 3, "--prioritised", "-o", output)
+        assert run(*arguments, monkeypatch=monkeypatch) == 0
+        assert "next_obs (256, 2)" in capsys.readouterr().out
+        with np.load(output) as arrays:
+            assert arrays["obs"].shape == (256, 2)
+            assert arrays["row"].min() >= 3
+        assert run("info", "--connect", endpoint, monkeypatch=monkeypatch) == 1
+        assert "a2s/default/replay/info: no answer" in capsys.readouterr().err
+        replay.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["info"], 2, "name a run directory, or a learner with --connect"),
+        (["info", "x", "--connect", "tcp/127.0.0.1:1"], 2, "name a run directory, or a learner"),
+        (["info", "x"], 1, "x: holds no replay"),
+        (["sample", "x"], 1, "x: holds no replay"),
+        (["info", "--connect", "tcp/127.0.0.1:1"], 1, "no learner at tcp/127.0.0.1:1"),
+    ],
+)
+def test_a_mistake_gets_one_line(
+    arguments: list[str],
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """And the exit code of its kind."""
+    assert run(*arguments, monkeypatch=monkeypatch) == code
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_export_without_minari_says_what_to_install(
+    stored: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is an extra: nobody else needs it."""
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setattr(
+        "importlib.util.find_spec", lambda name: None if name == "h5py" else object()
+    )
+    assert run("export", stored, "x-v0", monkeypatch=monkeypatch) == 2
+    assert "pip install 'a2s[minari]'" in capsys.readouterr().err
+
+
+def test_minari_opens_what_is_exported(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Every number as it was, actions in the units of the environment."""
+    minari: Any = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    root = tmp_path / "sets"
+    arguments = ("export", stored, "a2s/count-v0", "--root", root)
+    assert run(*arguments, "--json", monkeypatch=monkeypatch) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["episodes"], said["steps"], said["left_out"]) == (3, 14, 4)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    dataset = minari.load_dataset("a2s/count-v0")
+    assert (dataset.total_episodes, dataset.total_steps) == (3, 14)
+    for found, episode in zip(
+        dataset.iterate_episodes(), StoredEpisodes(stored / "replay"), strict=True
+    ):
+        assert np.array_equal(found.observations, episode.obs)
+        assert np.array_equal(found.rewards, episode.reward)
+        assert found.terminations.tolist() == [False] * (len(found) - 1) + [episode.terminated]
+        assert found.truncations.tolist() == [False] * (len(found) - 1) + [not episode.terminated]
+        # -1 to 1 spans the bounds -1 to 3 and 0.5 to 0.75
+        expected = np.clip(episode.action, -1, 1) * [2.0, 0.125] + [1.0, 0.625]
+        assert np.allclose(found.actions, expected)
+        assert all(dataset.action_space.contains(action) for action in found.actions)
+    assert run(*arguments, monkeypatch=monkeypatch) == 2
+    assert "already exists" in capsys.readouterr().err
