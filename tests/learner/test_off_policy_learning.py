@@ -1,0 +1,155 @@
+"""The off-policy variant in the learner's loop: how much is learned, from what, and when to wait."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from a2s.actors.suggester import Suggester
+from a2s.learner.ledger import Ledger
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.off_policy_learning import OffPolicyLearning
+from a2s.learner.off_policy_presets import off_policy
+from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.messages import Segment, Spaces
+
+SPACES = Spaces(obs_size=3, action_low=-np.ones(2, np.float32), action_high=np.ones(2, np.float32))
+SMALL: dict[str, Any] = {
+    "critic_sizes": "16,16", "policy_sizes": "16,16", "batch_rows": 8, "replay_rows": 1000,
+    "warm_up_steps": 20, "send_every_steps": 5, "lead_steps": 10,
+}  # fmt: skip
+Learn = Callable[..., OffPolicyLearning]
+
+
+@pytest.fixture
+def learning(tmp_path: Path) -> Learn:
+    """Make one, in the directory ``place``."""
+
+    def make(place: str = "run", env_id: str = "Test-v0", **options: Any) -> OffPolicyLearning:
+        path = tmp_path / place
+        path.mkdir(exist_ok=True)
+        ledger = Ledger(path / "segments.log")
+        hyper = off_policy("modern", {**SMALL, **options})
+        return OffPolicyLearning(env_id, SPACES, hyper, 7, path, ledger, LearnerMetrics())
+
+    return make
+
+
+def segment(seq: int, steps: int = 5, place: Path | None = None) -> Segment:
+    """Steps whose reward is large when the action is near 0.5; told to the ledger of ``place``."""
+    rng = np.random.default_rng(seq)
+    action = rng.uniform(-1, 1, (steps, 2)).astype(np.float32)
+    if place is not None:
+        ledger = Ledger(place / "segments.log")
+        ledger.record("a", seq, "accepted", steps)
+        ledger.close()
+    return Segment(
+        actor="a", seq=seq, generation=1, epoch=0, weights_version=1, env=0,
+        obs=rng.standard_normal((steps, 3)).astype(np.float32), suggestion=action,
+        log_prob=np.zeros(steps, np.float32),
+        reward=-np.square(action - 0.5).sum(1).astype(np.float32),
+        final_obs=np.zeros(3, np.float32), terminated=True, truncated=False,
+        episode_return=0.0, episode_length=steps,
+    )  # fmt: skip
+
+
+def play(learning: OffPolicyLearning, first: int, count: int, place: Path | None = None) -> int:
+    """Keep segments and learn from all of them at once; how many updates that was."""
+    segments = [segment(seq, place=place) for seq in range(first, first + count)]
+    for each in segments:
+        learning.keep(each)
+    before = learning.updates
+    learning.learn(segments, 0.0, is_behind=False)
+    return learning.updates - before
+
+
+def test_updates_follow_the_steps_played(learning: Learn) -> None:
+    """One a step after the warm-up, and at most ten steps ahead; twice what was played a round."""
+    run = learning()
+    assert [play(run, first, 1) for first in range(0, 3)] == [0, 0, 0]
+    assert play(run, 3, 1) == 10  # 20 steps: warm, and learning may lead by 10
+    assert [play(run, first, 1) for first in range(4, 8)] == [5, 5, 5, 5]
+    for seq in range(8, 16):
+        run.keep(segment(seq))
+    run.learn([segment(15)], 0.0, is_behind=False)
+    assert run.updates == 40  # 40 steps came since, but this round was of 5
+
+
+def test_half_an_update_a_step(learning: Learn) -> None:
+    run = learning(updates_per_step=0.5, lead_steps=16)
+    assert sum(play(run, first, 1) for first in range(24)) == (24 * 5 - 20) // 2 + 8
+
+
+def test_acts_at_random_until_something_was_learned(learning: Learn) -> None:
+    run = learning()
+    rng = np.random.default_rng(0)
+    obs = np.zeros((2000, 3), np.float32)
+    drawn = Suggester(run.graph(1, 0.0, {}))(obs, rng).action
+    assert np.abs(drawn).max() <= 1.0
+    assert np.quantile(drawn, [0.25, 0.75]) == pytest.approx([-0.5, 0.5], abs=0.05)
+    play(run, 0, 4)
+    mode = Suggester(run.graph(2, 0.0, {})).metadata
+    assert (mode["mode"], mode["K"]) == ("hard", "10")
+
+
+def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
+    """Until the warm-up is over they never do."""
+    run = learning()
+    for seq in range(5):
+        run.keep(segment(seq))
+        assert run.hold_s() == 0.0
+    run.keep(segment(5))
+    assert run.hold_s() > 0.0
+    run.learn([segment(seq) for seq in range(6)], 0.0, is_behind=False)
+    assert run.hold_s() == 0.0
+
+
+@pytest.mark.parametrize("prioritised", [False, True])
+def test_a_resumed_one_goes_on_to_the_bit(
+    learning: Learn, tmp_path: Path, prioritised: bool
+) -> None:
+    """From a copy of its replay and its state."""
+    place = tmp_path / "run"
+    run = learning(prioritised=prioritised)
+    play(run, 0, 8, place)
+    tensors, scalars = run.state()
+    shutil.copytree(place, tmp_path / "copy")
+    play(run, 8, 4)
+    again = learning("copy", prioritised=prioritised)
+    again.load(tensors, scalars)
+    play(again, 8, 4)
+    one, two = run.state(), again.state()
+    assert one[1] == two[1]
+    assert all(np.array_equal(one[0][name], two[0][name]) for name in one[0])
+
+
+def test_what_came_after_the_checkpoint_is_still_there_and_due(
+    learning: Learn, tmp_path: Path
+) -> None:
+    place = tmp_path / "run"
+    run = learning()
+    play(run, 0, 8, place)
+    tensors, scalars = run.state()
+    for seq in range(8, 12):
+        run.keep(segment(seq, place=place))
+    run.keep(segment(12))  # never written into the ledger, so never acknowledged
+    run.close()
+    again = learning()
+    again.load(tensors, scalars)
+    outcome = again.learn([segment(99, steps=20)], 0.0, is_behind=False)
+    assert outcome.row["replay_rows"] == 12 * 5
+    assert outcome.row["gradient_steps"] == 20
+
+
+def test_a_replay_of_another_environment_is_refused(learning: Learn) -> None:
+    learning().close()
+    with pytest.raises(RunDirectoryError, match=r"Other-v0"):
+        learning(env_id="Other-v0")
+
+
+def test_a_replay_below_one_batch_is_refused(learning: Learn) -> None:
+    with pytest.raises(UsageError, match="batch_rows"):
+        learning(replay_rows=7)
