@@ -1,7 +1,7 @@
 """The samples-per-insert limiter: within its band, and never both sides waiting."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from a2s.learner.replay.limiter import Limiter
@@ -33,6 +33,7 @@ def test_it_blocks_whichever_side_is_ahead() -> None:
     assert (limiter.insert_waits, limiter.sample_waits) == (2, 2)
 
 
+@settings(deadline=None)
 @given(
     ratio=RATIOS,
     min_size=st.integers(1, 1000),
@@ -67,6 +68,7 @@ def test_it_never_blocks_both_sides_and_holds_the_ratio(
             assert abs(limiter.samples - wanted) <= band + 1e-6
 
 
+@settings(deadline=None)
 @given(ratio=RATIOS, segment_steps=SIZES, batch_size=SIZES, share=st.floats(0.0, 0.999))
 def test_a_band_with_which_both_could_wait_is_refused(
     ratio: float, segment_steps: int, batch_size: int, share: float
@@ -90,6 +92,7 @@ def test_numbers_out_of_range_are_refused(name: str, value: float) -> None:
         Limiter(**{**values, name: value})  # type: ignore[arg-type]
 
 
+@settings(deadline=None)
 @given(inserts=st.integers(0, 10**12), samples=st.integers(0, 10**12))
 def test_its_state_goes_through_a_checkpoint(inserts: int, samples: int) -> None:
     """And what is none is refused."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from replay_oracle import ENV_ID, SPACES, make_segment
 
@@ -19,19 +19,21 @@ def filled(replay: Replay, steps: int) -> Replay:
 
 @pytest.mark.parametrize("size", [1, 16, 17, 1024, 1025, 20_000, 300_000])
 def test_leaves_are_drawn_in_proportion(size: int, rng: np.random.Generator) -> None:
-    """At every depth of the tree: the share of each tenth of the leaves is right."""
+    """At every depth of the tree: from each tenth of it, and from each place within a node."""
     leaves = rng.random(size, dtype=np.float32) ** 4
     leaves[rng.random(size) < 0.3] = 0.0
     leaves[0] = 0.5
     tree = SumTree(leaves)
     drawn = np.concatenate([tree.draw(1000, rng) for _ in range(100)])
     assert (leaves[drawn] > 0).all()
-    tenth = np.arange(size) * 10 // size
-    share = np.bincount(tenth, weights=leaves, minlength=10) / leaves.sum(dtype=np.float64)
-    found = np.bincount(tenth[drawn], minlength=10) / len(drawn)
-    assert found == pytest.approx(share, abs=0.006)  # four standard deviations, at most
+    place = np.arange(size)
+    for group in (place * 10 // size, place % 16, place // 16 % 16):
+        share = np.bincount(group, weights=leaves, minlength=16) / leaves.sum(dtype=np.float64)
+        found = np.bincount(group[drawn], minlength=16) / len(drawn)
+        assert found == pytest.approx(share, abs=0.006)  # four standard deviations, at most
 
 
+@settings(deadline=None)
 @given(
     size=st.integers(1, 3000),
     sets=st.lists(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
 
@@ -98,6 +98,7 @@ def test_only_the_very_next_step_of_the_same_episode_follows(
     assert targets(replay, 2, 0.5)[1] == ((4.0, 20.0, 0.25) if linked else (2.0, 12.0, 0.5))
 
 
+@settings(deadline=None)
 @given(played=PLAYED, capacity=st.integers(1, 25), n_step=st.integers(1, 5))
 def test_every_row_is_that_of_the_oracle(
     played: list[tuple[tuple[str, int], int, str, bool]], capacity: int, n_step: int
@@ -114,6 +115,7 @@ def test_every_row_is_that_of_the_oracle(
     assert_equals(replay, oracle, n_step)
 
 
+@settings(deadline=None)
 @given(
     played=PLAYED,
     capacity=st.integers(1, 25),
@@ -157,6 +159,10 @@ def test_a_segment_longer_than_the_capacity_leaves_its_newest_steps(tmp_path: Pa
     assert_equals(replay, oracle, 3)
     replay.close()
     assert_equals(directory.look_at(tmp_path), oracle, 3)
+    oracle.capacity = 6_000
+    replay = directory.open_existing(tmp_path, capacity=6_000)
+    assert_equals(replay, oracle, 3)
+    replay.close()
 
 
 def test_the_same_generator_draws_the_same() -> None:
