@@ -79,7 +79,7 @@ class Learner:
         self._at.generation = self._directory.count_start()
         self._at.steps_at_start = self._at.env_steps = self._ledger.accepted_steps
         metrics.env_steps.inc(self._at.env_steps)
-        keys = Keys(self._run.run)
+        self._keys = keys = Keys(self._run.run)
         terms = Terms(
             run=self._run.run,
             generation=self._at.generation,
@@ -112,6 +112,7 @@ class Learner:
         self._metrics.target_steps.set(self._run.total_steps)
         self._metrics.generation.set(self._at.generation)
         self._directory.event("start", generation=self._at.generation, env_steps=self._at.env_steps)
+        self._learning.serve(self._bus, self._keys, self._at.generation)
         self._service.open()
 
         def proceed(waiting_for: str) -> bool:

@@ -6,7 +6,9 @@ from typing import Any, NamedTuple, Protocol
 from torch import Tensor
 
 from a2s.learner.algorithm.recovery import RecoveryDecision
+from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
+from a2s.protocol.transport import Bus
 
 
 class Quota(NamedTuple):
@@ -100,6 +102,10 @@ class Learning(Protocol):
         Raises:
             RunDirectoryError: It does not fit.
         """
+        ...
+
+    def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
+        """Answer on the network what others may ask of this variant alone."""
         ...
 
     def close(self) -> None:

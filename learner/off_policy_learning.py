@@ -20,8 +20,11 @@ from a2s.learner.off_policy_export import export
 from a2s.learner.replay import description, directory
 from a2s.learner.replay.limiter import Limiter
 from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.errors import A2SError
+from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.transport import Bus
 
 _HOLD_S = (0.02, 2.0)
 _SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
@@ -153,6 +156,10 @@ class OffPolicyLearning:
             "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
         }  # fmt: skip
         self._rng.bit_generator.state = scalars["rng"]
+
+    def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
+        """Let others sample the replay."""
+        ServedReplay(bus, keys, self._replay, generation).open()
 
     def close(self) -> None:
         """Close the replay."""

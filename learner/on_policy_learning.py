@@ -15,7 +15,9 @@ from a2s.learner.batching import to_batch
 from a2s.learner.export import export
 from a2s.learner.learning import Outcome, Quota
 from a2s.learner.metrics import LearnerMetrics
+from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.transport import Bus
 
 _TESTED = ("draw", "probability", "r", "r_best")
 COLUMNS = (
@@ -83,6 +85,9 @@ class OnPolicyLearning:
     def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
         """Go back to a state."""
         self._algorithm.load(tensors, scalars)
+
+    def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
+        """There is nothing to ask for."""
 
     def close(self) -> None:
         """There is no file."""

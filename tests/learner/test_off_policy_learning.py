@@ -69,13 +69,25 @@ def play(learning: OffPolicyLearning, first: int, count: int, place: Path | None
 def test_updates_follow_the_steps_played(learning: Learn) -> None:
     """One a step after the warm-up, and at most ten steps ahead; twice what was played a round."""
     run = learning()
-    assert [play(run, first, 1) for first in range(0, 3)] == [0, 0, 0]
+    assert [play(run, first, 1) for first in range(3)] == [0, 0, 0]
     assert play(run, 3, 1) == 10  # 20 steps: warm, and learning may lead by 10
     assert [play(run, first, 1) for first in range(4, 8)] == [5, 5, 5, 5]
     for seq in range(8, 16):
         run.keep(segment(seq))
     run.learn([segment(15)], 0.0, is_behind=False)
     assert run.updates == 40  # 40 steps came since, but this round was of 5
+
+
+@pytest.mark.parametrize("prioritised", [False, True])
+def test_errors_become_priorities_where_they_count(
+    learning: Learn, tmp_path: Path, prioritised: bool
+) -> None:
+    """New rows have priority 1, rows that were learned from their error."""
+    run = learning(prioritised=prioritised)
+    play(run, 0, 20)
+    (file,) = (tmp_path / "run" / "replay").glob("priority-*.f32")
+    priorities = np.fromfile(file, np.float32)[:100]
+    assert bool((priorities != 1.0).any()) is prioritised
 
 
 def test_half_an_update_a_step(learning: Learn) -> None:
@@ -107,18 +119,15 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     assert run.hold_s() == 0.0
 
 
-@pytest.mark.parametrize("prioritised", [False, True])
-def test_a_resumed_one_goes_on_to_the_bit(
-    learning: Learn, tmp_path: Path, prioritised: bool
-) -> None:
+def test_a_resumed_one_goes_on_to_the_bit(learning: Learn, tmp_path: Path) -> None:
     """From a copy of its replay and its state."""
     place = tmp_path / "run"
-    run = learning(prioritised=prioritised)
+    run = learning()
     play(run, 0, 8, place)
     tensors, scalars = run.state()
     shutil.copytree(place, tmp_path / "copy")
     play(run, 8, 4)
-    again = learning("copy", prioritised=prioritised)
+    again = learning("copy")
     again.load(tensors, scalars)
     play(again, 8, 4)
     one, two = run.state(), again.state()

@@ -1,0 +1,89 @@
+"""The off-policy variant as a user starts it: real processes, a real replay, real kills."""
+
+import json
+import os
+import random
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from system_helpers import REACH, Start, metrics_port, rows, scrape
+
+from a2s.learner.ledger import Ledger
+from a2s.learner.replay import directory
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(150)]
+
+WaitFor = Callable[..., None]
+RunA2S = Callable[..., dict[str, Any]]
+SMALL = (
+    "--variant", "off-policy", "--envs", "2", "--set", "critic_sizes=16,16",
+    "--set", "policy_sizes=16,16", "--set", "batch_rows=32", "--set", "warm_up_steps=100",
+    "--set", "send_every_steps=8", "--set", "replay_rows=20000",
+)  # fmt: skip
+
+
+def _acknowledged(run: Path) -> int:
+    """Steps that the ledger says were accepted."""
+    ledger = Ledger(run / "segments.log")
+    ledger.close()
+    return ledger.accepted_steps
+
+
+def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_path: Path) -> None:
+    summary = run_a2s("train", *REACH, *SMALL, "--n", "2", "--total-steps", "1500", "--run", "r")
+    assert summary["variant"] == "off-policy"
+    assert summary["segments"]["stale"] == 0
+    run = tmp_path / "runs" / "r"
+    replay = directory.look_at(run / "replay")
+    assert replay.end == _acknowledged(run) >= summary["env_steps"] >= 1500
+    due = summary["env_steps"] - 100
+    assert due - 256 <= summary["updates"] <= due + 256  # lead_steps
+    assert np.isfinite(summary["evaluation"]["mean"])
+
+
+def test_lockstep_with_one_actor_is_reproducible_to_the_bit(
+    run_a2s: RunA2S, tmp_path: Path
+) -> None:
+    options = (*REACH, *SMALL, "--lockstep", "--n", "1", "--seed", "3", "--total-steps", "600")
+    summaries = [run_a2s("train", *options, "--run", name) for name in ("one", "two")]
+    one, two = (tmp_path / "runs" / name for name in ("one", "two"))
+    for table in ("episodes.csv", "updates.csv"):
+        assert rows(one / table, without="wall_s") == rows(two / table, without="wall_s")
+    assert summaries[0]["weights_sha256"] == summaries[1]["weights_sha256"]
+
+
+def test_kills_lose_no_acknowledged_transition_and_double_none(
+    start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
+) -> None:
+    """The learner is killed at random moments while four actors send."""
+    run = tmp_path / "run"
+    options = ("--listen", endpoint, "--run-dir", str(run), "--metrics-port", "0")
+    learner = start("learner", *REACH, *SMALL, *options, "--n", "4", "--total-steps", "1000000")
+    actor = start("actor", "--n", "4", "--connect", endpoint, "--metrics-port", "0")
+    rng = random.Random(0)
+    floor, log = 0, run / "segments.log"
+    for _ in range(3):
+        aim = floor + 150 + rng.randrange(300)
+        wait_for(lambda aim=aim: log.exists() and _steps(log) >= aim, f"{aim} steps", timeout_s=60)
+        os.kill(learner.process.pid, signal.SIGKILL)
+        learner.process.wait()
+        floor = _acknowledged(run)
+        learner = start("learner", *options, "--resume")
+    wait_for(lambda: _steps(run / "segments.log") > floor, "steps after the last kill")
+    assert learner.end(signal.SIGINT) == 130
+    port = metrics_port(actor)
+    replay = directory.look_at(run / "replay")
+    assert replay.end == _acknowledged(run)
+    counted = [json.loads(x) for x in (run / "events.jsonl").read_text().splitlines()]
+    assert [e["generation"] for e in counted if e["event"] == "start"] == [1, 2, 3, 4]
+    told = sum(v for k, v in scrape(port).items() if k.startswith("a2s_actor_acks_total"))
+    assert told > 0
+
+
+def _steps(log: Path) -> int:
+    lines = log.read_text().splitlines()
+    return sum(int(line.split(" ")[3]) for line in lines if line.count(" ") == 3)
