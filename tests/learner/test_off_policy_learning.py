@@ -1,4 +1,4 @@
-"""The off-policy variant in the learner's loop: how much is learned, from what, and when to wait."""
+"""The off-policy variant in the learner's loop: how much is learned, from what, when to wait."""
 
 import shutil
 from collections.abc import Callable
