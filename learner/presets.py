@@ -198,7 +198,7 @@ _A2C: dict[str, Choice] = {
     "recovery": Choice("off", "algo a2c"),
 }
 _A2C_ADVANTAGES = {"q-v": "return-v", "all-suggestions": "gae"}
-_FIELDS = {field.name: field.type for field in dataclasses.fields(OnPolicyHyper)}
+_FIELDS: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(OnPolicyHyper)}
 
 
 def choices(preset: str, algo: str) -> dict[str, Choice]:
@@ -252,13 +252,18 @@ def recovery_of(preset: str, *, on: bool) -> object:
     return choices(preset, "a2s")["recovery"].value if on else "off"
 
 
-def parse(name: str, given: object) -> object:
+def parse(name: str, given: object, types: Mapping[str, Any] = _FIELDS) -> object:
     """A value for a hyperparameter, from text or from a configuration file.
+
+    Args:
+        name: Of the hyperparameter.
+        given: Of the right type, or text.
+        types: Of all hyperparameters, by name.
 
     Raises:
         UsageError: The text cannot be read as the type of this hyperparameter.
     """
-    kind: Any = _FIELDS[name]
+    kind = types[name]
     try:
         if get_origin(kind) is tuple:
             return _parse_sizes(given)

@@ -4,10 +4,10 @@ There are no defaults here: the values and where they come from are in ``a2s.lea
 """
 
 import math
-from dataclasses import dataclass, fields
-from typing import Literal, get_args, get_origin
+from dataclasses import dataclass
+from typing import Literal
 
-from a2s.protocol.errors import UsageError
+from a2s.learner.algorithm.ranges import check, check_most, refuse
 
 Activation = Literal["tanh", "silu", "relu"]
 ActionMode = Literal["clip", "raw"]
@@ -261,21 +261,16 @@ class OnPolicyHyper:
 
     def __post_init__(self) -> None:
         """Check every value, then those that depend on each other."""
-        for field in fields(self):
-            _check_kind(field.name, field.type, getattr(self, field.name))
-        for name, (least, most) in _INTEGERS.items():
-            _check_integer(name, getattr(self, name), least, most)
-        for name, (low, high) in _NUMBERS.items():
-            _check_number(name, getattr(self, name), low, high)
-        _check_most("distil_top", self.distil_top, "distil_suggestions", self.distil_suggestions)
-        _check_most("batch_steps_first", self.batch_steps_first, "batch_steps", self.batch_steps)
-        _check_most("std_floor", self.std_floor, "std", self.std)
-        _check_most("lr_min", self.lr_min, "lr_max", self.lr_max)
+        check(self, _INTEGERS, _NUMBERS)
+        check_most("distil_top", self.distil_top, "distil_suggestions", self.distil_suggestions)
+        check_most("batch_steps_first", self.batch_steps_first, "batch_steps", self.batch_steps)
+        check_most("std_floor", self.std_floor, "std", self.std)
+        check_most("lr_min", self.lr_min, "lr_max", self.lr_max)
         if self.whole_episodes != (self.min_episodes > 0):
             expected = "at least 1" if self.whole_episodes else "0"
             found = str(self.whole_episodes).lower()
             expected += f" while whole_episodes is {found}"
-            _refuse("min_episodes", self.min_episodes, expected)
+            refuse("min_episodes", self.min_episodes, expected)
 
     @property
     def uses_q(self) -> bool:
@@ -287,42 +282,3 @@ class OnPolicyHyper:
         """Steps wanted in the batch of update 0, 1, 2...: growing, then ``batch_steps``."""
         growth = math.exp(min(update * math.log(self.batch_growth), 700.0))
         return round(min(self.batch_steps, self.batch_steps_first * growth))
-
-
-def _refuse(name: str, found: object, expected: str) -> None:
-    raise UsageError(f"{name}: found {found}, expected {expected}")
-
-
-def _check_kind(name: str, kind: object, value: object) -> None:
-    if get_origin(kind) is Literal and value not in get_args(kind):
-        _refuse(name, repr(value), f"one of {', '.join(get_args(kind))}")
-    if kind is bool and not isinstance(value, bool):
-        _refuse(name, value, "true or false")
-    if get_origin(kind) is tuple:
-        _check_sizes(name, value)
-
-
-def _check_integer(name: str, value: object, least: int, most: float) -> None:
-    is_integer = isinstance(value, int) and not isinstance(value, bool)
-    if not is_integer or not least <= value <= most:  # type: ignore[operator]
-        span = f"of at least {least}" if most == math.inf else f"from {least} to {most:g}"
-        _refuse(name, value, f"an integer {span}")
-
-
-def _check_number(name: str, value: object, low: float, high: float) -> None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:  # type: ignore[operator]
-        span = f"of at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-        _refuse(name, value, f"a number {span}")
-
-
-def _check_sizes(name: str, value: object) -> None:
-    if not isinstance(value, tuple) or not value:
-        _refuse(name, value, "layer sizes such as 64,64")
-    for size in value:  # type: ignore[attr-defined]
-        _check_integer(name, size, 1, 65536)
-
-
-def _check_most(name: str, value: float, other: str, limit: float) -> None:
-    if value > limit:
-        _refuse(name, value, f"at most {other} ({limit})")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from a2s.learner import on_policy_learning
+from a2s.learner import off_policy_presets, on_policy_learning
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.learner import POSITION
 from a2s.learner.presets import PRESETS, Choice
@@ -78,7 +78,7 @@ def test_the_page_names_many_functions() -> None:
     """Else the tests below would pass on a page that they cannot read."""
     assert len(_references()) > 60
     assert len(re.findall(r"\w+\.py\b", PAGE.read_text())) >= len(_references()) * 3 // 4
-    assert sorted(_sections()) == list("1234567")
+    assert sorted(_sections()) == list("12345678")
 
 
 @pytest.mark.parametrize(("file", "name"), _references())
@@ -115,6 +115,18 @@ def test_every_hyperparameter_stands_with_its_values_in_the_presets() -> None:
         expected.append([name, modern, *same])
     wrong = [row for row in expected if row not in rows]
     assert wrong == []
+    assert rows == expected
+
+
+def test_every_off_policy_hyperparameter_stands_with_its_values_in_the_presets() -> None:
+    """In the order of the fields; a failure prints the rows as they should begin."""
+    rows = [cells for *cells, _ in PRESET_ROW.findall(_sections()["8"])]
+    tables = [off_policy_presets.PRESETS[preset] for preset in ("modern", "sac", "paper")]
+    expected = []
+    for name in tables[0]:
+        modern, *others = (_cell(table[name]) for table in tables)
+        expected.append([name, modern, *("=" if each == modern else each for each in others)])
+    assert [row for row in expected if row not in rows] == []
     assert rows == expected
 
 

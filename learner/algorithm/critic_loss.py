@@ -1,0 +1,56 @@
+"""Regression of the critics to their targets, with the gradient written out."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class CriticLoss(NamedTuple):
+    """What a regression says.
+
+    Attributes:
+        loss: Summed over the critics, ``[]``.
+        grad: Its gradient by their outputs, ``[E, B, M]``.
+        error: Mean absolute error of the critics' means, for priorities, ``[B]``.
+    """
+
+    loss: Tensor
+    grad: Tensor
+    error: Tensor
+
+
+def squared_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss:
+    """Half the squared error, a weighted mean over the batch.
+
+    Args:
+        q_value: ``[E, B, 1]``.
+        target: ``[B, 1]``.
+        weight: Of each row, ``[B]``.
+    """
+    error = q_value - target
+    grad = error * (weight / len(weight)).unsqueeze(-1)
+    return CriticLoss(0.5 * (error * grad).sum(), grad, error.abs().mean((0, 2)))
+
+
+def quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss:
+    """Huber loss of quantile regression, a mean over pairs of atoms and the weighted batch.
+
+    Args:
+        q_value: Atoms, ``[E, B, M]``.
+        target: Atoms, ``[B, M']``.
+        weight: Of each row, ``[B]``.
+
+    Source: Dabney et al. 2018, equation 10, with kappa = 1; Kuznetsov et al. 2020 (TQC).
+    """
+    rows, atoms = q_value.shape[1:]
+    middle = (torch.arange(atoms, device=q_value.device) + 0.5) / atoms
+    delta = target.unsqueeze(-2) - q_value.unsqueeze(-1)
+    blame = (middle.unsqueeze(-1) - (delta < 0).to(delta.dtype)).abs()
+    limited = delta.clamp(-1.0, 1.0)
+    huber = limited * (delta - 0.5 * limited)
+    share = (weight / rows)[:, None]
+    loss = ((blame * huber).mean((-2, -1)) * share.squeeze(-1)).sum()
+    grad = (blame * limited).mean(-1) * (-share / atoms)
+    error = (q_value.mean(-1) - target.mean(-1)).abs().mean(0)
+    return CriticLoss(loss, grad, error)

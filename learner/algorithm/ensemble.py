@@ -1,0 +1,185 @@
+"""Networks of equal form, evaluated and differentiated together; one is an ensemble of one.
+
+Their gradient is written out: see ``body.py`` for why.
+"""
+
+import math
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.layers import Layer, Linear, Norm, Relu, Residual, Weights, run, run_back
+
+Network = Literal["mlp", "residual"]
+Precision = Literal["f32", "bf16"]
+
+# Parameters start at multiples of this, so that kernels find them aligned.
+_ALIGNMENT = 16
+
+
+class Form:
+    """Layers of a network, and where their parameters are in a vector of one member.
+
+    ``mlp``: Linear, layer normalisation, ReLU for each hidden layer; then Linear. ``residual``:
+    Linear to the first hidden size; for each further one a block that adds to its input
+    normalisation, Linear to that size, ReLU and Linear back; then normalisation and Linear.
+
+    Args:
+        sizes: Units of input, hidden layers or blocks, and output.
+        network: ``mlp`` or ``residual``.
+        layer_norm: Whether there is any normalisation.
+
+    Source: for ``residual`` SimBa (Lee et al. 2024), figure 4.
+    """
+
+    def __init__(self, sizes: tuple[int, ...], *, network: Network, layer_norm: bool) -> None:
+        self.sizes = sizes
+        self.network = network
+        self.layer_norm = layer_norm
+        self.shapes: list[tuple[int, int]] = []
+        self.starts: list[int] = []
+        self.length = 0
+        self.gains: list[int] = []
+        inputs, *hidden, outputs = sizes
+        self.first = self._linear(inputs, hidden[0])
+        self.layers: list[Layer] = [self.first]
+        if network == "mlp":
+            for before, after in zip(hidden, [*hidden[1:], outputs], strict=True):
+                self.layers += [*self._norm(before), Relu(), self._linear(before, after)]
+        else:
+            width = hidden[0]
+            for inner in hidden[1:]:
+                block = [*self._norm(width), self._linear(width, inner), Relu()]
+                self.layers.append(Residual([*block, self._linear(inner, width)]))
+            self.layers += [*self._norm(width), self._linear(width, outputs)]
+
+    def views(self, flat: Tensor) -> list[Tensor]:
+        """The parameters in vectors ``[E, length]``, each ``[E, rows, columns]``."""
+        return [
+            flat[:, start : start + rows * columns].view(-1, rows, columns)
+            for start, (rows, columns) in zip(self.starts, self.shapes, strict=True)
+        ]
+
+    def draw(self, members: int, generator: torch.Generator) -> Tensor:
+        """First parameters, ``[E, length]``: of Linear uniform in +-1/sqrt(inputs)."""
+        flat = torch.zeros(members, self.length)
+        views = self.views(flat)
+        for index in range(0, len(views), 2):  # weight and bias, or gain and offset
+            if index in self.gains:
+                views[index].fill_(1.0)
+                continue
+            limit = 1.0 / math.sqrt(self.shapes[index][0])
+            for view in views[index : index + 2]:
+                view.uniform_(-limit, limit, generator=generator)
+        return flat
+
+    def _add(self, rows: int, columns: int) -> int:
+        self.shapes.append((rows, columns))
+        self.starts.append(self.length)
+        self.length += -(-rows * columns // _ALIGNMENT) * _ALIGNMENT
+        return len(self.shapes) - 1
+
+    def _linear(self, rows: int, columns: int) -> Linear:
+        return Linear(self._add(rows, columns), self._add(1, columns))
+
+    def _norm(self, width: int) -> list[Layer]:
+        if not self.layer_norm:
+            return []
+        self.gains.append(self._add(1, width))
+        return [Norm(self.gains[-1], self._add(1, width))]
+
+
+class Ensemble:
+    """E networks of one form with their parameters and gradients as one vector each.
+
+    Args:
+        form: Of each.
+        flat: First parameters, float32 ``[E, length]``; kept, not copied.
+        precision: Of matrix products.
+
+    Attributes:
+        value: Parameters, float32 ``[E, length]``; after a change call `refresh`.
+        grad: Gradients of the same shape, written by `differentiate`.
+        weights: Views of the parameters.
+    """
+
+    def __init__(self, form: Form, flat: Tensor, *, precision: Precision) -> None:
+        self.form = form
+        self.members = len(flat)
+        self.value = flat
+        self.grad = torch.zeros_like(flat)
+        self._product = flat if precision == "f32" else flat.to(torch.bfloat16)
+        self.weights = Weights(form.views(flat), form.views(self._product))
+        self._grads = form.views(self.grad)
+
+    def copy(self) -> "Ensemble":
+        """The same networks with parameters of their own."""
+        precision: Precision = "f32" if self._product is self.value else "bf16"
+        return Ensemble(self.form, self.value.clone(), precision=precision)
+
+    def refresh(self) -> None:
+        """Take changed parameters into account."""
+        if self._product is not self.value:
+            self._product.copy_(self.value)
+
+    def pick(self, index: Tensor) -> Weights:
+        """The weights of some members, by their numbers, int64 ``[N]``; gathered, not views."""
+        full = self.value.index_select(0, index)
+        if self._product is self.value:
+            return Weights(views := self.form.views(full), views)
+        return Weights(self.form.views(full), self.form.views(self._product.index_select(0, index)))
+
+    def trace(self, x: Tensor) -> tuple[Tensor, list[Any]]:
+        """Map inputs ``[N, in]`` or ``[E, N, in]`` to ``[E, N, out]``.
+
+        Returns:
+            The outputs, and what `differentiate` needs.
+        """
+        return run(self.form.layers, self.weights, x.expand(self.members, *x.shape[-2:]))
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """The outputs of `trace`."""
+        return self.trace(x)[0]
+
+    def differentiate(self, tape: list[Any], grad: Tensor) -> None:
+        """Overwrite the gradients of all parameters.
+
+        Args:
+            tape: From `trace`.
+            grad: Gradient by the outputs, ``[E, N, out]``.
+        """
+        grad = run_back(self.form.layers[1:], self.weights, self._grads, tape[1:], grad)
+        first = self.form.first
+        by_output = grad.to(self._product.dtype)
+        first.collect(self._grads, tape[0], grad, by_output)
+
+    def by_input(self, tape: list[Any], grad: Tensor, start: int) -> Tensor:
+        """Gradient by the inputs from ``start`` on, ``[E, N, in - start]``; no others are made."""
+        grad = run_back(self.form.layers[1:], self.weights, None, tape[1:], grad)
+        weight = self.weights.product[self.form.first.weight][:, start:]
+        return torch.bmm(grad.to(weight.dtype), weight.mT).to(grad.dtype)
+
+
+def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
+    """Evaluate several actions for every observation; its part is computed once.
+
+    Args:
+        form: Of the networks; their input is observation and action joined.
+        weights: Of E members.
+        obs: ``[B, D]``.
+        action: Each member's own, ``[E, B, K, A]``.
+
+    Returns:
+        ``[E, B, K, out]``.
+    """
+    members, rows, count, size = action.shape
+    weight = weights.product[form.first.weight]
+    kind = weight.dtype
+    shown = obs.to(kind).expand(members, rows, -1)
+    split = obs.shape[1]
+    seen = torch.bmm(shown, weight[:, :split]) + weights.full[form.first.bias]
+    acted = torch.bmm(action.to(kind).view(members, -1, size), weight[:, split:])
+    both = acted.view(members, rows, count, -1) + seen.unsqueeze(2)
+    out, _ = run(form.layers[1:], weights, both.view(members, rows * count, -1))
+    return out.view(members, rows, count, -1)

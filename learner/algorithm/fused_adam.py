@@ -1,0 +1,51 @@
+"""Adam on one vector in one kernel, without a number ever coming back from the device."""
+
+import torch
+from torch import Tensor
+from torch.optim.adamw import adamw
+
+BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-8
+
+
+class FusedAdam:
+    """Adam with decoupled weight decay.
+
+    Args:
+        value: What it changes, float32.
+        learning_rate: Of every step.
+        weight_decay: As a fraction of the learning rate.
+
+    Source: Kingma and Ba 2015, algorithm 1; Loshchilov and Hutter 2019 for the decay.
+    """
+
+    def __init__(self, value: Tensor, *, learning_rate: float, weight_decay: float = 0.0) -> None:
+        self._value = value
+        self._learning_rate = learning_rate
+        self._weight_decay = weight_decay
+        self._first = torch.zeros_like(value)
+        self._second = torch.zeros_like(value)
+        self._steps = torch.zeros((), device=value.device)
+
+    @torch.no_grad()
+    def step(self, grad: Tensor) -> None:
+        """Make one step down a gradient."""
+        adamw(
+            [self._value],
+            [grad],
+            [self._first],
+            [self._second],
+            [],
+            [self._steps],
+            fused=True,
+            amsgrad=False,
+            beta1=BETA_1,
+            beta2=BETA_2,
+            lr=self._learning_rate,
+            weight_decay=self._weight_decay,
+            eps=EPS,
+            maximize=False,
+        )
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Moments and number of steps, not copied."""
+        return {"first": self._first, "second": self._second, "steps": self._steps}

@@ -1,0 +1,245 @@
+"""Off-policy A2S: one update from one batch of a replay.
+
+With one suggestion, one group and no distillation it is SAC (Haarnoja et al. 2018), number for
+number.
+
+Source: equations 6, 7, 8 and algorithm 2 of the paper.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.critic_loss import CriticLoss, quantile_loss, squared_loss
+from a2s.learner.algorithm.ensemble import score_many
+from a2s.learner.algorithm.expected_max import backup, evaluate, pick_best
+from a2s.learner.algorithm.layers import Weights
+from a2s.learner.algorithm.learned import check_tensors
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.off_policy_learned import OffPolicyLearned
+from a2s.learner.algorithm.off_policy_noise import Noise, draw_noise
+from a2s.learner.algorithm.policy_steps import PolicyStep, distil, pathwise, score
+from a2s.learner.algorithm.squashed import Gaussian, gaussian, log_density
+from a2s.learner.algorithm.transitions import Transitions
+
+
+class OffPolicyStats(NamedTuple):
+    """Numbers of one update, still on the device.
+
+    Attributes:
+        q_loss: Of the critics, summed over them, ``[]``.
+        policy_loss: Of the policy gradient, ``[]``.
+        distil_loss: Of equation 6, not weighted, ``[]``.
+        q_mean: Mean of the critics on the batch before the update, in returns, ``[]``.
+        target_mean: Mean of the targets, in returns, ``[]``.
+        entropy: Of the policy, estimated from one suggestion a state, nats, ``[]``.
+        temperature: Weight of the entropy after the update, ``[]``.
+        error: Absolute error of every row, in returns, for priorities, ``[B]``.
+    """
+
+    q_loss: Tensor
+    policy_loss: Tensor
+    distil_loss: Tensor
+    q_mean: Tensor
+    target_mean: Tensor
+    entropy: Tensor
+    temperature: Tensor
+    error: Tensor
+
+
+class OffPolicy:
+    """The learner's networks and everything that learning them needs.
+
+    ::
+
+        algorithm = OffPolicy(obs_size, action_size, hyper, seed)
+        while ...:
+            algorithm.observe(new_obs)
+            stats = algorithm.update(replay.sample())
+            replay.prioritise(stats.error)
+
+    An update copies nothing to the host, and has the same shapes every time.
+
+    Args:
+        obs_size: D.
+        action_size: A.
+        hyper: Hyperparameters.
+        seed: Of the first weights and of every random choice.
+        device: Of all tensors.
+    """
+
+    def __init__(
+        self,
+        obs_size: int,
+        action_size: int,
+        hyper: OffPolicyHyper,
+        seed: int,
+        device: str = "cpu",
+    ) -> None:
+        self.hyper = hyper
+        self.obs_size = obs_size
+        self.action_size = action_size
+        where = torch.device(device)
+        root = torch.Generator().manual_seed(seed)
+        networks, noise = torch.randint(2**62, (2,), generator=root).tolist()
+        first = torch.Generator().manual_seed(networks)
+        self.learned = OffPolicyLearned(obs_size, action_size, hyper, first, where)
+        self._noise = torch.Generator(where).manual_seed(noise)
+        self._wanted_entropy = hyper.entropy_per_action * action_size
+
+    def observe(self, obs: Tensor) -> None:
+        """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
+        self.learned.normaliser.update(obs)
+
+    @torch.no_grad()
+    def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:
+        """Learn from a batch.
+
+        Args:
+            batch: Rows of a replay.
+            noise: Drawn here when not given.
+        """
+        if noise is None:
+            noise = draw_noise(len(batch.obs), self.action_size, self.hyper, self._noise)
+        learned = self.learned
+        obs, next_obs = learned.normaliser(batch.obs), learned.normaliser(batch.next_obs)
+        output, tape = learned.policy.trace(obs)
+        policy = gaussian(output[0])
+        u = policy.mean + policy.log_std.exp() * noise.suggestion
+        log_prob = log_density(u, noise.suggestion, policy.log_std)
+        temperature = learned.log_temperature.exp()
+        self._learn_temperature(log_prob)
+        target = self._target(batch, next_obs, noise, temperature)
+        fit, q_mean = self._learn_critics(obs, batch, target)
+        moved, distilled = self._policy_steps(obs, policy, u, noise, temperature)
+        grad = moved.grad
+        if distilled is not None:
+            grad = grad + self.hyper.distil_weight * distilled.grad
+        learned.policy.differentiate(tape, grad.unsqueeze(0))
+        learned.adam["policy"].step(learned.policy.grad)
+        learned.policy.refresh()
+        learned.targets.value.lerp_(learned.critics.value, self.hyper.tau)
+        learned.targets.refresh()
+        return OffPolicyStats(
+            q_loss=fit.loss,
+            policy_loss=moved.loss,
+            distil_loss=distilled.loss if distilled is not None else torch.zeros_like(moved.loss),
+            q_mean=q_mean,
+            target_mean=target.mean(),
+            entropy=-log_prob.mean(),
+            temperature=learned.log_temperature.exp(),
+            error=fit.error,
+        )
+
+    def is_finite(self) -> bool:
+        """Whether every parameter is a number; waits for the device."""
+        return self.learned.is_finite()
+
+    def state(self) -> dict[str, Tensor]:
+        """Copies of everything that `load` needs to go on to the bit."""
+        tensors = {name: tensor.clone() for name, tensor in self.learned.tensors().items()}
+        return tensors | {"generator.noise": self._noise.get_state()}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Go back to a state of an object made with the same sizes and hyperparameters.
+
+        Raises:
+            RunDirectoryError: A tensor is missing or has another shape.
+        """
+        check_tensors(tensors, self.state())
+        self.learned.load(tensors)
+        self._noise.set_state(tensors["generator.noise"].cpu())
+
+    def _learn_temperature(self, log_prob: Tensor) -> None:
+        """Raise the temperature where the entropy is below the wanted one.
+
+        Source: Haarnoja et al. 2018, equation 18, for the logarithm of the temperature.
+        """
+        if self.learned.learns_temperature:
+            grad = -(log_prob.mean() + self._wanted_entropy)
+            self.learned.adam["temperature"].step(grad)
+
+    def _target(self, batch: Transitions, obs: Tensor, noise: Noise, temperature: Tensor) -> Tensor:
+        """Targets of equation 8, ``[B, M']``."""
+        learned, hyper = self.learned, self.hyper
+        policy = gaussian(learned.policy(obs)[0])
+        normal = noise.target
+        u = policy.mean[:, None] + policy.log_std.exp()[:, None] * normal
+        if hyper.target_suggestions > 1:
+            scores = self._select(obs, u.tanh(), noise.critic[:-1])
+            u, normal = pick_best(scores, u, normal)
+        else:
+            u, normal = u.squeeze(2), normal.squeeze(2)
+        groups = len(u)
+        joined = torch.cat([obs.expand(groups, -1, -1), u.tanh()], dim=-1)
+        value = learned.targets(joined.flatten(0, 1))
+        value = value.view(len(value), groups, len(obs), -1)
+        return backup(
+            batch.reward,
+            batch.discount,
+            evaluate(value, hyper.dropped_quantiles),
+            log_density(u, normal, policy.log_std),
+            temperature=temperature,
+            suggestions=hyper.target_suggestions,
+        )
+
+    def _learn_critics(
+        self, obs: Tensor, batch: Transitions, target: Tensor
+    ) -> tuple[CriticLoss, Tensor]:
+        """Regress every critic to the targets; also returns the mean value."""
+        critics = self.learned.critics
+        q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
+        regress = squared_loss if self.hyper.quantiles == 1 else quantile_loss
+        fit = regress(q_value, target, batch.weight)
+        critics.differentiate(tape, fit.grad)
+        self.learned.adam["critics"].step(critics.grad)
+        critics.refresh()
+        return fit, q_value.mean()
+
+    def _policy_steps(
+        self, obs: Tensor, policy: Gaussian, u: Tensor, noise: Noise, temperature: Tensor
+    ) -> tuple[PolicyStep, PolicyStep | None]:
+        """The policy gradient, and equation 6 where it has any weight, by the learned critics."""
+        hyper, distilled = self.hyper, None
+        if hyper.weighs_several:
+            several = policy.mean[:, None] + policy.log_std.exp()[:, None] * noise.distil
+            q_value = self._select(obs, several.tanh()[None], noise.critic[-1:])[0]
+            if hyper.distil_weight > 0:
+                distilled = distil(policy, noise.distil, q_value, hyper.distil_top)
+            if hyper.policy_loss == "score":
+                return score(policy, noise.distil, q_value, temperature), distilled
+        value, by_action = self._value_of(obs, u.tanh())
+        return pathwise(policy, noise.suggestion, value, by_action, temperature), distilled
+
+    def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.
+
+        Plain critics: their minimum, as in SAC; quantile critics: their mean, as in TQC.
+        """
+        critics = self.learned.critics
+        q_value, tape = critics.trace(torch.cat([obs, action], dim=-1))
+        if self.hyper.quantiles > 1:
+            grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.quantiles))
+            value = q_value.mean((0, 2))
+        else:
+            least, member = q_value.min(0, keepdim=True)
+            grad = torch.zeros_like(q_value).scatter_(0, member, 1.0)
+            value = least.flatten()
+        return value, critics.by_input(tape, grad, self.obs_size).sum(0)
+
+    def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
+        """Scores by whoever selects, of ``[N, B, K, A]``: ``[N, B, K]``.
+
+        Args:
+            obs: Normalised, ``[B, D]``.
+            action: Suggestions in N groups.
+            critic: Number of a critic for each group, ``[N]``.
+        """
+        form, critics = self.learned.critics.form, self.learned.critics
+        if self.hyper.selector == "one":
+            return score_many(form, critics.pick(critic), obs, action).mean(-1)
+        weights: Weights = critics.weights
+        shared = action.transpose(0, 1).flatten(1, 2).expand(critics.members, -1, -1, -1)
+        value = score_many(form, weights, obs, shared).mean((0, -1))
+        return value.view(len(obs), len(action), -1).transpose(0, 1)

@@ -1,0 +1,150 @@
+"""Every number and choice of the off-policy algorithm, checked.
+
+There are no defaults here: the values and where they come from are in
+``a2s.learner.off_policy_presets``.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from a2s.learner.algorithm.ensemble import Network, Precision
+from a2s.learner.algorithm.ranges import check, check_most, refuse
+
+OffPolicyLoss = Literal["pathwise", "score"]
+Selector = Literal["one", "mean"]
+
+_INTEGERS: dict[str, tuple[int, float]] = {
+    "act_suggestions": (1, 1024),
+    "target_suggestions": (1, 1024),
+    "target_groups": (1, 1024),
+    "distil_suggestions": (1, 1024),
+    "distil_top": (1, 1024),
+    "critics": (1, 64),
+    "quantiles": (1, 1024),
+    "dropped_quantiles": (0, 1023),
+    "n_step": (1, 1024),
+    "batch_rows": (1, 2**20),
+    "warm_up_steps": (0, math.inf),
+    "replay_rows": (1, math.inf),
+    "send_every_steps": (1, math.inf),
+    "lead_steps": (1, math.inf),
+}
+_NUMBERS: dict[str, tuple[float, float]] = {
+    "optimism": (-1e3, 1e3),
+    "distil_weight": (0.0, 1e6),
+    "gamma": (1e-6, 1.0),
+    "tau": (1e-6, 1.0),
+    "updates_per_step": (1e-6, 1e3),
+    "learning_rate": (1e-12, 1e3),
+    "critic_learning_rate": (1e-12, 1e3),
+    "temperature_learning_rate": (0.0, 1e3),
+    "weight_decay": (0.0, 1e3),
+    "initial_temperature": (0.0, 1e6),
+    "entropy_per_action": (-1e3, 1e3),
+    "priority_exponent": (0.0, 10.0),
+    "importance_exponent": (0.0, 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OffPolicyHyper:
+    """The hyperparameters of off-policy A2S; SAC is the same with one suggestion everywhere.
+
+    Raises:
+        UsageError: A value is outside its range; one line that names it.
+    """
+
+    act_suggestions: int
+    """K_act, actions among which Q picks what is executed, at least 1."""
+    optimism: float
+    """Beta: what is executed has the largest mean of the critics plus this times their spread."""
+    target_suggestions: int
+    """K_target, suggestions of each group in the next state, equation 7."""
+    target_groups: int
+    """N, groups over which equation 8 takes its mean."""
+    selector: Selector
+    """Who picks in the update: ``one`` online critic, drawn anew, or the ``mean`` of all."""
+
+    critics: int
+    """Q networks; the minimum of their targets evaluates."""
+    quantiles: int
+    """Atoms of each critic; 1: its output is the value itself."""
+    dropped_quantiles: int
+    """Atoms per critic that a target leaves out, the largest of all; fewer than ``quantiles``."""
+    network: Network
+    """``mlp``; ``residual``: a block that adds to its input for each size after the first."""
+    critic_sizes: tuple[int, ...]
+    """Units of the hidden layers of each critic."""
+    policy_sizes: tuple[int, ...]
+    """Units of the policy's hidden layers."""
+    layer_norm: bool
+    """Hidden layers are normalised, with gain and offset."""
+    normalise_obs: bool
+    """Observations are shifted and scaled by their running mean and standard deviation."""
+    precision: Precision
+    """Of matrix products: ``f32``, or ``bf16``, faster where the processor has it."""
+
+    policy_loss: OffPolicyLoss
+    """``pathwise``: along the gradient of Q; ``score``: log-density times advantage."""
+    distil_weight: float
+    """Of equation 6 beside the policy gradient; 0: off."""
+    distil_suggestions: int
+    """K_distil, fresh suggestions per observation for equation 6 and for the loss ``score``."""
+    distil_top: int
+    """Equation 6 moves the mean towards this many best of them."""
+    entropy_per_action: float
+    """Wanted entropy of the policy per action dimension, nats."""
+    initial_temperature: float
+    """Weight of the entropy at first."""
+    temperature_learning_rate: float
+    """Of Adam on the logarithm of the temperature; 0: it stays as it is."""
+
+    gamma: float
+    """Discount per step, above 0 and at most 1."""
+    tau: float
+    """Fraction of their distance to the critics that the target critics move per update."""
+    n_step: int
+    """Rewards of so many steps are summed before the critics take over."""
+    batch_rows: int
+    """Rows of the replay in one update."""
+    updates_per_step: float
+    """Updates for each environment step."""
+    learning_rate: float
+    """Of Adam on the policy."""
+    critic_learning_rate: float
+    """Of Adam on the critics."""
+    weight_decay: float
+    """Decoupled, of policy and critics, in units of their learning rates."""
+
+    warm_up_steps: int
+    """Environment steps with uniform random actions, before the first update."""
+    replay_rows: int
+    """Steps that the replay keeps; the oldest go first."""
+    prioritised: bool
+    """Rows with a large error are sampled more often."""
+    priority_exponent: float
+    """Alpha: priorities are the errors to this power."""
+    importance_exponent: float
+    """Beta: weights undo the priorities to this power, 0..1."""
+    send_every_steps: int
+    """Steps after which an actor sends what it has."""
+    lead_steps: int
+    """Environment steps that either side may be ahead of ``updates_per_step``; it then waits."""
+
+    def __post_init__(self) -> None:
+        """Check every value, then those that depend on each other."""
+        check(self, _INTEGERS, _NUMBERS)
+        check_most("distil_top", self.distil_top, "distil_suggestions", self.distil_suggestions)
+        check_most("batch_rows", self.batch_rows, "replay_rows", self.replay_rows)
+        check_most("send_every_steps", self.send_every_steps, "lead_steps", self.lead_steps)
+        if self.dropped_quantiles >= self.quantiles:
+            expected = f"fewer than quantiles ({self.quantiles})"
+            refuse("dropped_quantiles", self.dropped_quantiles, expected)
+        if self.policy_loss == "score" and self.distil_suggestions == 1:
+            refuse("distil_suggestions", 1, "at least 2 with policy_loss score")
+
+    @property
+    def weighs_several(self) -> bool:
+        """Whether learning the policy takes several suggestions a state."""
+        return self.distil_weight > 0 or self.policy_loss == "score"

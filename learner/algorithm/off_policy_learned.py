@@ -1,0 +1,92 @@
+"""Everything that off-policy learning changes."""
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.ensemble import Ensemble, Form
+from a2s.learner.algorithm.fused_adam import FusedAdam
+from a2s.learner.algorithm.learned import check_tensors
+from a2s.learner.algorithm.networks import Normaliser
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+
+
+class OffPolicyLearned:
+    """Networks, their optimisers, the temperature and the normaliser.
+
+    Args:
+        obs_size: D.
+        action_size: A.
+        hyper: Hyperparameters.
+        generator: Draws the first weights, on the CPU.
+        device: Of all tensors.
+
+    Attributes:
+        normaliser: Of the observations.
+        policy: One network, ``[D]`` to ``[2 A]``: means and log standard deviations of u.
+        critics: E networks, ``[D + A]`` to the M atoms of a value.
+        targets: The same, averaged over time.
+        log_temperature: Logarithm of the weight of the entropy, ``[]``.
+        adam: One optimiser for ``policy``, ``critics`` and ``temperature``.
+    """
+
+    def __init__(
+        self,
+        obs_size: int,
+        action_size: int,
+        hyper: OffPolicyHyper,
+        generator: torch.Generator,
+        device: torch.device,
+    ) -> None:
+        def make(sizes: tuple[int, ...], members: int) -> Ensemble:
+            form = Form(sizes, network=hyper.network, layer_norm=hyper.layer_norm)
+            first = form.draw(members, generator).to(device)
+            return Ensemble(form, first, precision=hyper.precision)
+
+        self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs).to(device)
+        self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
+        joined = obs_size + action_size
+        self.critics = make((joined, *hyper.critic_sizes, hyper.quantiles), hyper.critics)
+        self.targets = self.critics.copy()
+        self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
+        self.learns_temperature = hyper.temperature_learning_rate > 0
+        rates = {
+            "policy": (self.policy.value, hyper.learning_rate, hyper.weight_decay),
+            "critics": (self.critics.value, hyper.critic_learning_rate, hyper.weight_decay),
+            "temperature": (self.log_temperature, hyper.temperature_learning_rate, 0.0),
+        }
+        self.adam = {
+            name: FusedAdam(value, learning_rate=rate, weight_decay=decay)
+            for name, (value, rate, decay) in rates.items()
+        }
+
+    def is_finite(self) -> bool:
+        """Whether every parameter is a number; waits for the device."""
+        found = [self.policy.value, self.critics.value, self.targets.value]
+        found += [self.log_temperature] if self.learns_temperature else []
+        return all(bool(torch.isfinite(each).all()) for each in found)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of it by name, not copied."""
+        found = {
+            "policy": self.policy.value,
+            "critics": self.critics.value,
+            "targets": self.targets.value,
+            "log_temperature": self.log_temperature,
+        }
+        found |= {f"normaliser.{name}": each for name, each in self.normaliser.named_buffers()}
+        for name, adam in self.adam.items():
+            found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}
+        return found
+
+    def load(self, stored: dict[str, Tensor]) -> None:
+        """Overwrite all of it.
+
+        Raises:
+            RunDirectoryError: A tensor is missing or has another shape.
+        """
+        present = self.tensors()
+        check_tensors(stored, present)
+        for name, tensor in present.items():
+            tensor.copy_(stored[name])
+        for ensemble in (self.policy, self.critics, self.targets):
+            ensemble.refresh()

@@ -1,0 +1,44 @@
+"""Every random choice of one off-policy update, drawn beforehand."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+
+
+class Noise(NamedTuple):
+    """What an update draws.
+
+    Attributes:
+        suggestion: Standard normal, for the suggestion that the pathwise gradient moves,
+            ``[B, A]``.
+        target: Standard normal, for the suggestions in the next states, ``[N, B, K_target, A]``.
+        distil: Standard normal, for those of equation 6 or of the loss ``score``, ``[B, K, A]``;
+            K is 0 where nothing reads them.
+        critic: Number of the online critic that selects: in each group, then among ``distil``,
+            int64 ``[N + 1]``.
+    """
+
+    suggestion: Tensor
+    target: Tensor
+    distil: Tensor
+    critic: Tensor
+
+
+def draw_noise(
+    rows: int, action_size: int, hyper: OffPolicyHyper, generator: torch.Generator
+) -> Noise:
+    """Draw the noise of an update of B = ``rows`` rows, on the device of the generator."""
+    groups, device = hyper.target_groups, generator.device
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(shape, generator=generator, device=device)
+
+    return Noise(
+        suggestion=normal(rows, action_size),
+        target=normal(groups, rows, hyper.target_suggestions, action_size),
+        distil=normal(rows, hyper.distil_suggestions if hyper.weighs_several else 0, action_size),
+        critic=torch.randint(hyper.critics, (groups + 1,), generator=generator, device=device),
+    )

@@ -1,0 +1,78 @@
+"""Gradients that move the policy of off-policy A2S, each by the output of its network.
+
+Source: SAC (Haarnoja et al. 2018), equation 9, for `pathwise`; equations 3 and 4 of the paper for
+`score`; equation 6 for `distil`.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.policy_gradient import advantage_over_others
+from a2s.learner.algorithm.squashed import Gaussian, log_density
+
+
+class PolicyStep(NamedTuple):
+    """A loss, a mean over the batch, ``[]``, and its gradient by the network's output."""
+
+    loss: Tensor
+    grad: Tensor
+
+
+def pathwise(
+    policy: Gaussian, normal: Tensor, q_value: Tensor, by_action: Tensor, temperature: Tensor
+) -> PolicyStep:
+    """Move the one suggestion of every state along the gradient of Q: SAC's loss.
+
+    Args:
+        policy: Of the states.
+        normal: Noise of the suggestion, ``[B, A]``.
+        q_value: Its value, ``[B]``.
+        by_action: Gradient of the sum of the values by the suggestions, ``[B, A]``.
+        temperature: Weight of the entropy, ``[]``.
+    """
+    noise = policy.log_std.exp() * normal
+    u = policy.mean + noise
+    action = u.tanh()
+    share = temperature / len(u)
+    by_u = 2.0 * share * action - by_action * (1.0 - action.square()) / len(u)
+    grad = torch.cat([by_u, (by_u * noise - share) * policy.free], dim=-1)
+    loss = (temperature * log_density(u, normal, policy.log_std) - q_value).mean()
+    return PolicyStep(loss, grad)
+
+
+def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor) -> PolicyStep:
+    """Make suggestions likelier that are better than the mean of the others.
+
+    Args:
+        policy: Of the states.
+        normal: Noise of K suggestions, ``[B, K, A]``.
+        q_value: Their values, ``[B, K]``.
+        temperature: Weight of the entropy, which counts as a part of the value, ``[]``.
+    """
+    log_std = policy.log_std.unsqueeze(1)
+    std = log_std.exp()
+    log_prob = log_density(policy.mean.unsqueeze(1) + std * normal, normal, log_std)
+    advantage = advantage_over_others(q_value - temperature * log_prob)
+    pull = (advantage / advantage.numel()).unsqueeze(-1)
+    by_mean = -(pull * normal / std).sum(1)
+    by_log_std = -(pull * (normal.square() - 1.0)).sum(1) * policy.free
+    grad = torch.cat([by_mean, by_log_std], dim=-1)
+    return PolicyStep(-(advantage * log_prob).mean(), grad)
+
+
+def distil(policy: Gaussian, normal: Tensor, q_value: Tensor, top: int) -> PolicyStep:
+    """Raise the log likelihood, as a function of the mean alone, of the best suggestions.
+
+    Args:
+        policy: Of the states.
+        normal: Noise of K suggestions, ``[B, K, A]``.
+        q_value: Their values, ``[B, K]``.
+        top: So many count, all alike.
+    """
+    best = q_value.topk(top, dim=1).indices.unsqueeze(-1)
+    wanted = normal.gather(1, best.expand(-1, -1, normal.shape[-1])).mean(1)
+    pull = -wanted * (-policy.log_std).exp() / len(wanted)
+    loss = 0.5 * wanted.square().sum(-1).mean()
+    return PolicyStep(loss, torch.cat([pull, torch.zeros_like(pull)], dim=-1))

@@ -1,0 +1,126 @@
+"""Named sets of off-policy hyperparameters, and where each value comes from.
+
+``modern`` is meant for use. ``sac`` is the same without what A2S adds: one suggestion everywhere.
+``paper`` is algorithm 2 of the paper as printed.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.presets import Choice, parse
+from a2s.protocol.errors import UsageError, nearest
+
+_PAPER = "paper, table 3"
+_BOX = "paper, algorithm 2"
+_SAC = "SAC (Haarnoja et al. 2018), table 1"
+_UNUSED = "not used here"
+_OURS = "ours, to be tuned"
+
+_MODERN: dict[str, Choice] = {
+    "act_suggestions": Choice(10, _PAPER),
+    "optimism": Choice(0.5, _OURS),
+    "target_suggestions": Choice(4, "costs a quarter of an update; unbiased at any K"),
+    "target_groups": Choice(1, "a batch is a mean already"),
+    "selector": Choice("one", "the maximum of what also evaluates is biased upwards"),
+    "critics": Choice(2, "TD3 (Fujimoto et al. 2018)"),
+    "quantiles": Choice(1, _OURS),
+    "dropped_quantiles": Choice(0, _UNUSED),
+    "network": Choice("mlp", _OURS),
+    "critic_sizes": Choice((256, 256), _SAC),
+    "policy_sizes": Choice((256, 256), _SAC),
+    "layer_norm": Choice(True, "Nauman et al. 2024: above remedies particular to RL"),
+    "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
+    "precision": Choice("f32", "the same everywhere"),
+    "policy_loss": Choice("pathwise", _SAC),
+    "distil_weight": Choice(0.1, _OURS),
+    "distil_suggestions": Choice(4, "as in the target"),
+    "distil_top": Choice(1, "paper, equation 6"),
+    "entropy_per_action": Choice(-1.0, _SAC),
+    "initial_temperature": Choice(1.0, "Stable-Baselines3"),
+    "temperature_learning_rate": Choice(3e-4, _SAC),
+    "gamma": Choice(0.99, _SAC),
+    "tau": Choice(0.005, _SAC),
+    "n_step": Choice(1, _SAC),
+    "batch_rows": Choice(256, _SAC),
+    "updates_per_step": Choice(1.0, _SAC),
+    "learning_rate": Choice(3e-4, _SAC),
+    "critic_learning_rate": Choice(3e-4, _SAC),
+    "weight_decay": Choice(0.0, _OURS),
+    "warm_up_steps": Choice(5000, "CleanRL; REDQ (Chen et al. 2021)"),
+    "replay_rows": Choice(1_000_000, _SAC),
+    "prioritised": Choice(False, "large errors of a maximum are its optimism too"),
+    "priority_exponent": Choice(0.6, "Schaul et al. 2016, table 3"),
+    "importance_exponent": Choice(0.4, "Schaul et al. 2016, table 3"),
+    "send_every_steps": Choice(32, _OURS),
+    "lead_steps": Choice(256, _OURS),
+}
+
+_WITHOUT_SUGGESTIONS: dict[str, Choice] = {
+    "act_suggestions": Choice(1, "SAC has one"),
+    "optimism": Choice(0.0, _UNUSED),
+    "target_suggestions": Choice(1, "SAC has one"),
+    "distil_weight": Choice(0.0, "SAC has no equation 6"),
+    "distil_suggestions": Choice(1, _UNUSED),
+    "distil_top": Choice(1, _UNUSED),
+}
+
+_PAPER_TEXT: dict[str, Choice] = _MODERN | {
+    "optimism": Choice(0.0, _BOX),
+    "target_suggestions": Choice(10, _PAPER),
+    "target_groups": Choice(3, "paper, section 4.2: low; the authors' code has 1 to 3"),
+    "selector": Choice("mean", "there is one critic"),
+    "critics": Choice(1, _BOX),
+    "critic_sizes": Choice((128, 64), "paper, section 5"),
+    "policy_sizes": Choice((64, 64), "paper, section 5"),
+    "normalise_obs": Choice(False, "authors' code"),
+    "layer_norm": Choice(True, "authors' code"),
+    "policy_loss": Choice("score", _BOX),
+    "distil_weight": Choice(0.0, _BOX),
+    "distil_suggestions": Choice(10, "V is the mean of Q over K suggestions"),
+    "entropy_per_action": Choice(-1.0, _UNUSED),
+    "initial_temperature": Choice(0.0, _BOX),
+    "temperature_learning_rate": Choice(0.0, _BOX),
+    "gamma": Choice(0.97, _PAPER),
+    "tau": Choice(1.0, "paper, algorithm 2: no target network"),
+    "learning_rate": Choice(1e-3, "authors' code"),
+    "critic_learning_rate": Choice(1e-3, "authors' code"),
+    "warm_up_steps": Choice(1000, "the box has none; an untrained Q prefers one direction"),
+}
+
+PRESETS: dict[str, dict[str, Choice]] = {
+    "modern": _MODERN,
+    "sac": _MODERN | _WITHOUT_SUGGESTIONS,
+    "paper": _PAPER_TEXT,
+}
+_FIELDS: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(OffPolicyHyper)}
+
+
+def choices(preset: str) -> dict[str, Choice]:
+    """Every value of a preset with its source.
+
+    Raises:
+        UsageError: There is no such preset; the nearest is named.
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"unknown preset {preset!r}{nearest(preset, PRESETS)}")
+    return dict(PRESETS[preset])
+
+
+def off_policy(preset: str, overrides: Mapping[str, object]) -> OffPolicyHyper:
+    """Hyperparameters of a preset with some of them overridden.
+
+    Args:
+        preset: A key of `PRESETS`.
+        overrides: Values by name, of the right type or as text.
+
+    Raises:
+        UsageError: A preset or name is unknown, or a value is out of range.
+    """
+    values = {name: choice.value for name, choice in choices(preset).items()}
+    for name, given in overrides.items():
+        if name not in _FIELDS:
+            raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, _FIELDS)}")
+        values[name] = parse(name, given, _FIELDS)
+    return OffPolicyHyper(**values)  # type: ignore[arg-type]

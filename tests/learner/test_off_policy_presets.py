@@ -1,0 +1,98 @@
+"""Off-policy presets, overrides and what is refused."""
+
+import dataclasses
+
+import pytest
+
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.off_policy_presets import PRESETS, choices, off_policy
+from a2s.protocol.errors import UsageError
+
+NAMES = [field.name for field in dataclasses.fields(OffPolicyHyper)]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_complete_and_valid(preset: str) -> None:
+    """Each value has a source."""
+    off_policy(preset, {})
+    assert list(choices(preset)) == NAMES
+    assert all(choice.source for choice in choices(preset).values())
+
+
+def test_sac_is_modern_with_one_suggestion_and_no_distillation() -> None:
+    """The same networks, normalisation and rates: what is left is what A2S adds."""
+    sac, modern = off_policy("sac", {}), off_policy("modern", {})
+    differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
+    assert differ <= {
+        "act_suggestions",
+        "optimism",
+        "target_suggestions",
+        "distil_weight",
+        "distil_suggestions",
+        "distil_top",
+    }
+    assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
+    assert sac.distil_weight == sac.optimism == 0
+    assert sac.policy_loss == "pathwise"
+
+
+def test_paper_has_neither_entropy_nor_target_networks() -> None:
+    """Algorithm 2 as printed, N x K suggestions, one Q."""
+    paper = off_policy("paper", {})
+    assert paper.initial_temperature == paper.temperature_learning_rate == 0
+    assert (paper.tau, paper.critics, paper.policy_loss) == (1.0, 1, "score")
+    assert (paper.target_suggestions, paper.gamma) == (10, 0.97)
+    assert paper.target_groups > 1
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("target_suggestions", "16", 16),
+        ("prioritised", "true", True),
+        ("critic_sizes", "512-512", (512, 512)),
+        ("network", "residual", "residual"),
+        ("tau", 1, 1.0),
+    ],
+)
+def test_overrides_are_read_by_the_type_of_their_field(
+    name: str, text: object, value: object
+) -> None:
+    """They come as text from a command line."""
+    found = getattr(off_policy("modern", {name: text}), name)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"act_suggestions": 0}, "act_suggestions: found 0, expected an integer from 1 to 1024"),
+        ({"tau": 0}, "tau: found 0.0, expected a number from 1e-06 to 1"),
+        ({"network": "cnn"}, "network: found 'cnn', expected one of mlp, residual"),
+        ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
+        ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
+        ({"replay_rows": 9}, r"batch_rows: found 256, expected at most replay_rows \(9\)"),
+        ({"lead_steps": 1}, r"send_every_steps: found \d+, expected at most lead_steps \(1\)"),
+        (
+            {"quantiles": 5, "dropped_quantiles": 5},
+            r"dropped_quantiles: found 5, expected fewer than quantiles \(5\)",
+        ),
+        (
+            {"policy_loss": "score", "distil_suggestions": 1, "distil_top": 1},
+            "distil_suggestions: found 1, expected at least 2 with policy_loss score",
+        ),
+        ({"kapa": 1}, "unknown hyperparameter 'kapa'.*"),
+        ({"taus": 1}, r"unknown hyperparameter 'taus' \(did you mean 'tau'\?\)"),
+    ],
+)
+def test_wrong_values_are_refused_in_one_line(overrides: dict[str, object], message: str) -> None:
+    """Subject, what was found, what was expected."""
+    with pytest.raises(UsageError, match=f"^{message}$"):
+        off_policy("modern", overrides)
+
+
+def test_unknown_preset_names_the_nearest() -> None:
+    """As for hyperparameters."""
+    with pytest.raises(UsageError, match=r"unknown preset 'moderm' \(did you mean 'modern'\?\)"):
+        off_policy("moderm", {})
