@@ -1,5 +1,6 @@
 """The off-policy update."""
 
+import itertools
 from typing import Any
 
 import pytest
@@ -217,3 +218,76 @@ def test_temperature_rises_while_the_entropy_is_too_low() -> None:
         assert (float(algorithm.learned.log_temperature) - before) * sign > 0
     fixed = make(temperature_learning_rate=0.0, initial_temperature=0.2)
     assert float(fixed.update(batch(0)).temperature) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("selector", ["one", "mean"])
+def test_target_is_that_of_a_loop_over_groups_and_suggestions(selector: str) -> None:
+    """Equations 7 and 8, one suggestion at a time."""
+    algorithm = make("modern", selector=selector, target_groups=3, critics=2, tau=0.5)
+    for number in range(3):  # until critics and targets differ
+        algorithm.update(batch(number))
+    learned, rows, noise = algorithm.learned, batch(7), noise_of(algorithm, 7)
+    policy, critics = modules(learned.policy)[0], modules(learned.critics)
+    targets = modules(learned.targets)
+    temperature = float(learned.log_temperature.exp())
+    seen, next_seen = learned.normaliser(rows.obs), learned.normaliser(rows.next_obs)
+    wanted = torch.zeros(ROWS)
+    with torch.no_grad():
+        for row, group in itertools.product(range(ROWS), range(3)):
+            mean, log_std = policy(next_seen[row]).chunk(2)
+            best, soft = -float("inf"), 0.0
+            for normal in noise.target[group, row]:
+                u = mean + log_std.exp() * normal
+                joined = torch.cat([next_seen[row], u.tanh()])
+                scores = [float(critic(joined)) for critic in critics]
+                chosen = scores[int(noise.critic[group])] if selector == "one" else sum(scores)
+                if chosen > best:
+                    density = -0.5 * normal.square() - log_std - 0.9189385
+                    log_prob = float((density - (1.0 - u.double().tanh().square()).log()).sum())
+                    least = min(float(target(joined)) for target in targets)
+                    best, soft = chosen, least - temperature * (log_prob + 0.6362944)
+            wanted[row] += rows.reward[row] + rows.discount[row] * soft
+        joined = torch.cat([seen, rows.action], 1)
+        errors = [(critic(joined).squeeze(1) - wanted / 3).abs() for critic in critics]
+    found = algorithm.update(rows, noise)
+    torch.testing.assert_close(found.error, torch.stack(errors).mean(0), rtol=1e-4, atol=1e-4)
+
+
+def test_numbering_of_the_critics_does_not_matter() -> None:
+    """Two that change places, and their numbers in the noise with them."""
+    one, other = make("modern", target_groups=2), make("modern", target_groups=2)
+    for ensemble in (other.learned.critics, other.learned.targets):
+        ensemble.value.copy_(ensemble.value.flip(0))
+    for number in range(3):
+        noise = noise_of(one, number)
+        one.update(batch(number), noise)
+        other.update(batch(number), noise._replace(critic=1 - noise.critic))
+    torch.testing.assert_close(one.learned.policy.value, other.learned.policy.value)
+    torch.testing.assert_close(one.learned.targets.value, other.learned.targets.value.flip(0))
+
+
+def test_equation_6_weighs_as_much_as_it_is_told() -> None:
+    """The gradient of the policy is linear in its weight."""
+    grads = []
+    for weight in (0.1, 0.2, 0.3):
+        algorithm = make("modern", distil_weight=weight)
+        algorithm.update(batch(0), noise_of(algorithm, 0))
+        grads.append(algorithm.learned.policy.grad)
+    torch.testing.assert_close(grads[2] - grads[1], grads[1] - grads[0], rtol=1e-3, atol=1e-6)
+    assert float((grads[1] - grads[0]).abs().max()) > 1e-3
+
+
+def test_weight_decay_shrinks_policy_and_critics_but_not_the_temperature() -> None:
+    """By rate times decay times weight, beside what Adam does."""
+    plain, decayed = make(), make(weight_decay=0.5)
+    before = {name: tensor.clone() for name, tensor in plain.learned.tensors().items()}
+    for algorithm in (plain, decayed):
+        algorithm.update(batch(0), noise_of(algorithm, 0))
+    now, shrunk = plain.learned.tensors(), decayed.learned.tensors()
+    torch.testing.assert_close(
+        now["critics"] - shrunk["critics"], 3e-4 * 0.5 * before["critics"], rtol=0.01, atol=1e-7
+    )
+    # The policy follows critics that shrank: most of its steps are the same all the same.
+    difference = now["policy"] - shrunk["policy"] - 3e-4 * 0.5 * before["policy"]
+    assert float(difference.abs().median()) < 1e-7
+    assert torch.equal(now["log_temperature"], shrunk["log_temperature"])

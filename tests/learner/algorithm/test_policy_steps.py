@@ -31,7 +31,9 @@ def test_pathwise_gradient_is_that_of_autograd() -> None:
     torch.autograd.backward(worth(action).sum())
     assert action.grad is not None
     free = Gaussian(*(each.detach() for each in policy))
-    found = pathwise(free, normal, worth(action).detach(), action.grad, torch.tensor(0.3))
+    found = pathwise(
+        free, normal, worth(action).detach(), action.grad, torch.tensor(0.3, dtype=torch.float64)
+    )
     assert raw.grad is not None
     torch.testing.assert_close(found.loss, loss.detach())
     torch.testing.assert_close(found.grad, raw.grad, rtol=1e-6, atol=1e-9)
@@ -50,7 +52,7 @@ def test_score_gradient_is_that_of_autograd() -> None:
     others = (soft.sum(1, keepdim=True) - soft) / 4
     torch.autograd.backward(-(log_prob * (soft - others)).mean())
     free = Gaussian(*(each.detach() for each in policy))
-    found = score(free, normal, worth(u.tanh()), torch.tensor(0.3))
+    found = score(free, normal, worth(u.tanh()), torch.tensor(0.3, dtype=torch.float64))
     assert raw.grad is not None
     torch.testing.assert_close(found.grad, raw.grad, rtol=1e-6, atol=1e-9)
 
