@@ -1,8 +1,4 @@
-"""A suggester as an ONNX graph, written node by node.
-
-Written by hand because it happens at every weights version: about a millisecond, where tracing
-takes seconds. The nodes depend only on the options of the suggester and are made once; each
-version fills in the numbers.
+"""An on-policy suggester as an ONNX graph, written node by node.
 
 Contract of the graph, float32 throughout, ``B`` free, ``K`` and ``A`` fixed::
 
@@ -18,20 +14,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-import onnx
-from onnx import TensorProto, helper
 
 from a2s.learner.algorithm.body import LAYER_NORM_EPS, Body
-from a2s.learner.algorithm.networks import OBS_LIMIT
 from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.algorithm.suggestion import SPREAD_EPS
-
-CONTRACT = "a2s-suggester-1"
-OPSET = 18
-IR_VERSION = 9
-
-Array = npt.NDArray[Any]
+from a2s.learner.graph import CONTRACT, Nodes, Numbers, common_numbers, constant, fill
 
 
 class _Form(NamedTuple):
@@ -65,17 +52,6 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
         The serialised model.
     """
     form = _form(suggester)
-    model = onnx.ModelProto()
-    model.CopyFrom(_template(form))
-    for name, array in _numbers(suggester, form).items():
-        model.graph.initializer.append(
-            TensorProto(
-                name=name,
-                dims=array.shape,
-                data_type=TensorProto.INT64 if array.dtype == np.int64 else TensorProto.FLOAT,
-                raw_data=np.ascontiguousarray(array).tobytes(),
-            )
-        )
     own = {
         "contract": CONTRACT,
         "weights_version": str(weights_version),
@@ -86,10 +62,7 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
         "action_low": str(suggester.action_low.tolist()),
         "action_high": str(suggester.action_high.tolist()),
     }
-    for key, value in {**metadata, **own}.items():
-        model.metadata_props.add(key=key, value=value)
-    data: bytes = model.SerializeToString()
-    return data
+    return fill(_template(form), _numbers(suggester, form), {**metadata, **own})
 
 
 def _form(suggester: Suggester) -> _Form:
@@ -110,52 +83,39 @@ def _form(suggester: Suggester) -> _Form:
     )
 
 
-def _numbers(suggester: Suggester, form: _Form) -> dict[str, Array]:
+def _numbers(suggester: Suggester, form: _Form) -> Numbers:
     """The initialisers: everything that differs from one version to the next, and constants."""
     low, high = suggester.action_low.numpy(), suggester.action_high.numpy()
     log_std = suggester.policy.log_std.detach()
     log_norm = float(log_std.sum()) + 0.5 * math.log(2 * math.pi) * form.action_size
-    numbers: dict[str, Array] = {
+    numbers: Numbers = {
+        **common_numbers(low, high, suggester.normaliser),
         "std": log_std.exp().numpy(),
-        "log_norm": _constant([log_norm]),
-        "minus_half": _constant([-0.5]),
-        "half_range": (high - low) / 2,
-        "centre": (high + low) / 2,
-        "low": low,
-        "high": high,
-        "axis_1": np.array([1], np.int64),
+        "log_norm": constant([log_norm]),
+        "minus_half": constant([-0.5]),
         **_body_numbers("policy", suggester.policy.body, 0),
     }
-    if form.normalises:
-        mean, factor = suggester.normaliser.constants()
-        limit = _constant(OBS_LIMIT)
-        numbers |= {"obs_mean": mean.numpy(), "obs_factor": factor.numpy()}
-        numbers |= {"obs_least": -limit, "obs_most": limit}
     if suggester.q_net is None:
-        return numbers | {"zero": _constant([0.0])}
+        return numbers | {"zero": constant([0.0])}
     numbers["axis_2"] = np.array([2], np.int64)
     for member in range(form.critics):
         numbers |= _body_numbers(f"q{member}", suggester.q_net.body, member)
         first = numbers.pop(f"q{member}.weight.0")
         numbers[f"q{member}.weight.obs"] = first[: form.obs_size]
         numbers[f"q{member}.weight.action"] = first[form.obs_size :]
-    one = _constant(1.0)
-    numbers |= {"q_scale": _constant([suggester.q_scale])}
+    one = constant(1.0)
+    numbers |= {"q_scale": constant([suggester.q_scale])}
     numbers |= {"minus_one": -one, "plus_one": one} if form.clips else {}
     if form.critics == 2 and form.combine == "mean":
-        numbers["half"] = _constant([0.5])
+        numbers["half"] = constant([0.5])
     if form.mode == "soft":
-        numbers["temperature"] = _constant([suggester.temperature])
-        numbers["spread_eps"] = _constant([SPREAD_EPS])
-        numbers["log_k"] = _constant([math.log(form.suggestions)])
+        numbers["temperature"] = constant([suggester.temperature])
+        numbers["spread_eps"] = constant([SPREAD_EPS])
+        numbers["log_k"] = constant([math.log(form.suggestions)])
     return numbers
 
 
-def _constant(value: float | list[float]) -> Array:
-    return np.array(value, np.float32)
-
-
-def _body_numbers(name: str, body: Body, member: int) -> dict[str, Array]:
+def _body_numbers(name: str, body: Body, member: int) -> Numbers:
     parts = {"weight": body.weight, "bias": body.bias, "gain": body.gain, "offset": body.offset}
     numbers = {
         f"{name}.{part}.{index}": tensor[member].detach().numpy()
@@ -167,17 +127,13 @@ def _body_numbers(name: str, body: Body, member: int) -> dict[str, Array]:
     }
 
 
-class _Nodes:
-    """A list of nodes that gives every result a name."""
+class _Suggester:
+    """The nodes of one form."""
 
     def __init__(self, form: _Form) -> None:
         self.form = form
-        self.nodes: list[Any] = []
-
-    def add(self, kind: str, *inputs: str, to: str = "", **attributes: object) -> str:
-        output = to or f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
-        return output
+        self.nodes = Nodes()
+        self.add = self.nodes.add
 
     def hidden(self, name: str, layer: int, x: str) -> str:
         """Layer normalisation and non-linearity on the sums of a layer."""
@@ -187,12 +143,6 @@ class _Nodes:
         if self.form.activation == "silu":
             return self.add("Mul", x, self.add("Sigmoid", x))
         return self.add("Tanh" if self.form.activation == "tanh" else "Relu", x)
-
-    def observation(self) -> str:
-        if not self.form.normalises:
-            return "obs"
-        scaled = self.add("Mul", self.add("Sub", "obs", "obs_mean"), "obs_factor")
-        return self.add("Clip", scaled, "obs_least", "obs_most")
 
     def policy(self, seen: str) -> str:
         x = self.add("Gemm", seen, "policy.weight.0", "policy.bias.0")
@@ -224,9 +174,7 @@ class _Nodes:
 
     def select(self, score: str) -> str:
         """Index of the chosen suggestion, ``[B, 1]``; writes ``q_spread`` and ``preference``."""
-        centred = self.add("Sub", score, self.add("ReduceMean", score, "axis_1", keepdims=1))
-        widest = self.add("ReduceMax", centred, "axis_1", keepdims=0)
-        self.add("Mul", widest, "q_scale", to="q_spread")
+        centred = self.nodes.spread(score, "q_scale")
         if self.form.mode == "hard":
             return self.add("ArgMax", score, axis=1, keepdims=1)
         variance = self.add("ReduceMean", self.add("Mul", centred, centred), "axis_1", keepdims=1)
@@ -246,43 +194,24 @@ class _Nodes:
         if self.form.mode == "soft":
             exponent = self.add("Add", exponent, "preference")
         self.add("Sub", exponent, "log_norm", to="log_prob")
-        wide = self.add("Add", self.add("Mul", "suggestion", "half_range"), "centre")
-        self.add("Min", self.add("Max", wide, "low"), "high", to="action")
+        self.nodes.to_env()
 
 
 @functools.lru_cache(maxsize=32)
 def _template(form: _Form) -> Any:
     """The model without its numbers."""
-    nodes = _Nodes(form)
-    seen = nodes.observation()
-    mean = nodes.policy(seen)
+    graph = _Suggester(form)
+    seen = graph.nodes.observation(normalises=form.normalises)
+    mean = graph.policy(seen)
     if form.mode == "first":
-        noise = nodes.add("Squeeze", "normal", "axis_1")
-        nodes.add("Mul", nodes.add("ReduceSum", noise, "axis_1", keepdims=0), "zero", to="q_spread")
+        noise = graph.add("Squeeze", "normal", "axis_1")
+        graph.add("Mul", graph.add("ReduceSum", noise, "axis_1", keepdims=0), "zero", to="q_spread")
     else:
-        spread = nodes.add("Mul", "normal", "std")
-        candidates = nodes.add("Add", spread, nodes.add("Unsqueeze", mean, "axis_1"))
-        index = nodes.select(nodes.scores(seen, candidates))
-        noise = nodes.add("GatherND", "normal", index, batch_dims=1)
-    nodes.answer(mean, noise)
-    k, a = form.suggestions, form.action_size
-    inputs = {"obs": ["B", form.obs_size], "normal": ["B", k, a]}
-    inputs |= {"gumbel": ["B", k]} if form.mode == "soft" else {}
-    outputs: dict[str, list[str | int]] = {
-        "action": ["B", a],
-        "suggestion": ["B", a],
-        "log_prob": ["B"],
-        "q_spread": ["B"],
-    }
-    graph = helper.make_graph(
-        nodes.nodes,
-        "suggester",
-        [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in inputs.items()],
-        [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in outputs.items()],
-    )
-    return helper.make_model(
-        graph,
-        producer_name="a2s",
-        opset_imports=[helper.make_opsetid("", OPSET)],
-        ir_version=IR_VERSION,
+        spread = graph.add("Mul", "normal", "std")
+        candidates = graph.add("Add", spread, graph.add("Unsqueeze", mean, "axis_1"))
+        index = graph.select(graph.scores(seen, candidates))
+        noise = graph.add("GatherND", "normal", index, batch_dims=1)
+    graph.answer(mean, noise)
+    return graph.nodes.template(
+        form.obs_size, form.suggestions, form.action_size, gumbel=form.mode == "soft"
     )

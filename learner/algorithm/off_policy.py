@@ -19,6 +19,10 @@ from a2s.learner.algorithm.learned import check_tensors
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.off_policy_learned import OffPolicyLearned
 from a2s.learner.algorithm.off_policy_noise import Noise, draw_noise
+from a2s.learner.algorithm.off_policy_suggester import (
+    OffPolicySuggester,
+    OffPolicySuggesterMode,
+)
 from a2s.learner.algorithm.policy_steps import PolicyStep, distil, pathwise, score
 from a2s.learner.algorithm.squashed import Gaussian, gaussian, log_density
 from a2s.learner.algorithm.transitions import Transitions
@@ -91,6 +95,29 @@ class OffPolicy:
     def observe(self, obs: Tensor) -> None:
         """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
         self.learned.normaliser.update(obs)
+
+    def suggester(
+        self, action_low: Tensor, action_high: Tensor, *, warms_up: bool = False
+    ) -> OffPolicySuggester:
+        """The present way of acting; it shares the networks and is valid until the next update.
+
+        Args:
+            action_low: Of the environment, float32 ``[A]``.
+            action_high: Of the environment, float32 ``[A]``.
+            warms_up: Act at random: nothing is learned yet.
+        """
+        picks = self.hyper.act_suggestions > 1 and not warms_up
+        mode: OffPolicySuggesterMode = "hard" if picks else "uniform" if warms_up else "first"
+        return OffPolicySuggester(
+            normaliser=self.learned.normaliser,
+            policy=self.learned.policy,
+            critics=self.learned.critics,
+            action_low=action_low,
+            action_high=action_high,
+            mode=mode,
+            suggestions=self.hyper.act_suggestions if picks else 1,
+            optimism=self.hyper.optimism,
+        )
 
     @torch.no_grad()
     def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:

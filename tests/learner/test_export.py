@@ -12,7 +12,8 @@ import torch
 
 from a2s.learner.algorithm.networks import Normaliser, Policy, Q
 from a2s.learner.algorithm.suggester import Suggester
-from a2s.learner.export import CONTRACT, export
+from a2s.learner.export import export
+from a2s.learner.graph import CONTRACT
 from a2s.learner.presets import on_policy
 
 torch.set_num_threads(1)

@@ -279,7 +279,8 @@ def test_equation_6_weighs_as_much_as_it_is_told() -> None:
 
 def test_weight_decay_shrinks_policy_and_critics_but_not_the_temperature() -> None:
     """By rate times decay times weight, beside what Adam does."""
-    plain, decayed = make(), make(weight_decay=0.5)
+    plain = make(initial_temperature=0.5)
+    decayed = make(initial_temperature=0.5, weight_decay=0.5)
     before = {name: tensor.clone() for name, tensor in plain.learned.tensors().items()}
     for algorithm in (plain, decayed):
         algorithm.update(batch(0), noise_of(algorithm, 0))

@@ -1,0 +1,111 @@
+"""Acting off-policy, from observation to action in the environment's units, as one module."""
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm.ensemble import Ensemble, Form, score_many
+from a2s.learner.algorithm.expected_max import pick_best
+from a2s.learner.algorithm.layers import Weights, run
+from a2s.learner.algorithm.networks import Normaliser
+from a2s.learner.algorithm.squashed import gaussian, log_density
+from a2s.learner.algorithm.suggester import Choice
+
+OffPolicySuggesterMode = Literal["uniform", "first", "hard"]
+
+
+class OffPolicySuggester:
+    """Normaliser, policy, K suggestions, critics, selection and action bounds.
+
+    It holds the networks it is given, not copies, and computes in float32 whatever they learn in.
+    One suggester serves every way of acting by its noise:
+
+    ==================================================  ==========================================
+    behaviour                                           ``normal`` as drawn
+    mean action                                         ``normal = 0``
+    best of K, the mean among them                      ``normal[:, 0] = 0``
+    ==================================================  ==========================================
+
+    Args:
+        normaliser: Of the observations.
+        policy: Suggests; not asked in the mode ``uniform``.
+        critics: Pick; not asked but in the mode ``hard``.
+        action_low: Lowest action of the environment, float32 ``[A]``.
+        action_high: Highest, float32 ``[A]``.
+        mode: ``uniform``: actions spread evenly over the bounds, for warm-up; ``first``: the only
+            suggestion; ``hard``: the one of largest score.
+        suggestions: K; 1 but in the mode ``hard``.
+        optimism: Beta: a score is the mean of the critics plus this times their standard
+            deviation (over the critics that there are: half the difference of two).
+    """
+
+    def __init__(
+        self,
+        *,
+        normaliser: Normaliser,
+        policy: Ensemble,
+        critics: Ensemble,
+        action_low: Tensor,
+        action_high: Tensor,
+        mode: OffPolicySuggesterMode,
+        suggestions: int,
+        optimism: float,
+    ) -> None:
+        if mode != "hard" and suggestions != 1:
+            raise ValueError(f"mode {mode}, K {suggestions}: expected K 1 but in mode 'hard'")
+        self.normaliser = normaliser
+        self.policy = policy
+        self.critics = critics
+        self.action_low = action_low.float()
+        self.action_high = action_high.float()
+        self.mode: OffPolicySuggesterMode = mode
+        self.suggestions = suggestions
+        self.optimism = optimism
+
+    @torch.no_grad()
+    def __call__(self, obs: Tensor, normal: Tensor) -> Choice:
+        """Choose actions.
+
+        Args:
+            obs: As the environment gave them, float32 ``[B, D]``.
+            normal: Standard normal noise, float32 ``[B, K, A]``.
+        """
+        q_spread = torch.zeros(len(obs), device=obs.device)
+        if self.mode == "uniform":
+            suggestion = torch.erf(normal[:, 0] * math.sqrt(0.5))
+            log_prob = torch.full_like(q_spread, -math.log(2.0) * suggestion.shape[1])
+            return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
+        seen = self.normaliser(obs)
+        form, weights = _in_float32(self.policy)
+        policy = gaussian(run(form.layers, weights, seen.unsqueeze(0))[0][0])
+        u = policy.mean.unsqueeze(1) + policy.log_std.exp().unsqueeze(1) * normal
+        if self.mode == "hard":
+            score = self.score(seen, u.tanh())
+            q_spread = score.amax(1) - score.mean(1)
+            u, noise = pick_best(score, u, normal)
+        else:
+            u, noise = u.squeeze(1), normal.squeeze(1)
+        suggestion = u.tanh()
+        log_prob = log_density(u, noise, policy.log_std)
+        return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
+
+    def score(self, seen: Tensor, action: Tensor) -> Tensor:
+        """Optimistic scores: normalised ``[B, D]`` and canonical ``[B, K, A]`` to ``[B, K]``."""
+        form, weights = _in_float32(self.critics)
+        shared = action.expand(self.critics.members, *action.shape)
+        q_value = score_many(form, weights, seen, shared).mean(-1)
+        spread = (q_value - q_value.mean(0)).square().mean(0).sqrt()
+        return q_value.mean(0) + self.optimism * spread
+
+    def to_env(self, suggestion: Tensor) -> Tensor:
+        """Canonical suggestions in the environment's units, within its bounds: ``[B, A]``."""
+        half = (self.action_high - self.action_low) / 2
+        centre = (self.action_high + self.action_low) / 2
+        return (suggestion * half + centre).clamp(self.action_low, self.action_high)
+
+
+def _in_float32(ensemble: Ensemble) -> tuple[Form, Weights]:
+    full = ensemble.weights.full
+    return ensemble.form, Weights(full, full)

@@ -1,0 +1,119 @@
+"""Acting off-policy."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from a2s.learner.algorithm.off_policy import OffPolicy
+from a2s.learner.algorithm.off_policy_suggester import OffPolicySuggester
+from a2s.learner.off_policy_presets import off_policy
+
+LOW, HIGH = torch.tensor([-0.4, 1.0]), torch.tensor([0.4, 5.0])
+
+
+def make(*, warms_up: bool = False, **options: Any) -> OffPolicySuggester:
+    """Build a suggester with asymmetric bounds and critics that disagree."""
+    sizes = {"critic_sizes": "16,8", "policy_sizes": "8,8", "act_suggestions": 6}
+    algorithm = OffPolicy(3, 2, off_policy("modern", {**sizes, **options}), 0)
+    algorithm.learned.critics.value.mul_(3.0)
+    algorithm.observe(2.0 * torch.randn(50, 3, generator=torch.Generator().manual_seed(1)))
+    return algorithm.suggester(LOW, HIGH, warms_up=warms_up)
+
+
+def noise(rows: int, k: int = 6) -> torch.Tensor:
+    """The same every time."""
+    return torch.randn(rows, k, 2, generator=torch.Generator().manual_seed(2))
+
+
+@pytest.mark.parametrize("optimism", [0.0, 1.5, -1.5])
+def test_choice_has_the_largest_mean_plus_spread(optimism: float) -> None:
+    """A loop over critics and suggestions; the spread of two is half their difference."""
+    suggester = make(optimism=optimism)
+    obs, normal = torch.randn(12, 3), noise(12)
+    choice = suggester(obs, normal)
+    seen = suggester.normaliser(obs)
+    mean, log_std = suggester.policy(seen)[0].chunk(2, 1)
+    for row in range(12):
+        candidates = (mean[row] + log_std[row].exp() * normal[row]).tanh()
+        scores = []
+        for candidate in candidates:
+            one, other = suggester.critics(torch.cat([seen[row], candidate])[None])[:, 0, 0]
+            scores.append(float((one + other) / 2 + optimism * (one - other).abs() / 2))
+        best = scores.index(max(scores))
+        torch.testing.assert_close(choice.suggestion[row], candidates[best])
+        spread = max(scores) - sum(scores) / 6
+        assert float(choice.q_spread[row]) == pytest.approx(spread, abs=1e-4)
+
+
+def test_optimism_changes_the_choice() -> None:
+    """Else the test above would say little."""
+    obs, normal = torch.randn(50, 3), noise(50)
+    calm, bold = make(optimism=0.0)(obs, normal), make(optimism=1.5)(obs, normal)
+    assert not torch.equal(calm.suggestion, bold.suggestion)
+
+
+@pytest.mark.parametrize("k", [1, 6])
+def test_log_prob_is_that_of_the_action_under_the_policy(k: int) -> None:
+    """By the change of variables, in double precision."""
+    suggester = make(act_suggestions=k)
+    obs = torch.randn(9, 3)
+    choice = suggester(obs, noise(9, k))
+    mean, log_std = suggester.policy(suggester.normaliser(obs))[0].double().chunk(2, 1)
+    u = choice.suggestion.double().atanh()
+    gaussian = torch.distributions.Normal(mean, log_std.exp())
+    density = gaussian.log_prob(u)  # type: ignore[no-untyped-call]
+    expected = (density - (1 - choice.suggestion.double().square()).log()).sum(1)
+    torch.testing.assert_close(choice.log_prob.double(), expected, rtol=1e-3, atol=1e-3)
+
+
+def test_zero_noise_is_the_mean_action() -> None:
+    """For any number of suggestions."""
+    suggester, obs = make(), torch.randn(9, 3)
+    choice = suggester(obs, torch.zeros(9, 6, 2))
+    mean = suggester.policy(suggester.normaliser(obs))[0].chunk(2, 1)[0].tanh()
+    torch.testing.assert_close(choice.suggestion, mean)
+    torch.testing.assert_close(choice.q_spread, torch.zeros(9), atol=1e-5, rtol=0.0)
+
+
+def test_one_suggestion_is_not_judged() -> None:
+    """The mode ``first``."""
+    suggester = make(act_suggestions=1)
+    assert (suggester.mode, suggester.suggestions) == ("first", 1)
+    assert suggester(torch.randn(4, 3), noise(4, 1)).q_spread.tolist() == [0.0] * 4
+
+
+def test_warm_up_spreads_actions_evenly_over_the_bounds() -> None:
+    """Tenths of the range hold a tenth each, whatever is observed."""
+    suggester = make(warms_up=True)
+    choice = suggester(torch.full((50_000, 3), 1e9), noise(50_000, 1))
+    for dimension in range(2):
+        low, high = float(LOW[dimension]), float(HIGH[dimension])
+        counts = torch.histc(choice.action[:, dimension], 10, low, high) / 50_000
+        torch.testing.assert_close(counts, torch.full((10,), 0.1), atol=0.006, rtol=0.0)
+    assert choice.log_prob.tolist()[:2] == pytest.approx([-2 * math.log(2)] * 2)
+    assert suggester(torch.zeros(1, 3), torch.zeros(1, 1, 2)).suggestion.tolist() == [[0.0, 0.0]]
+
+
+def test_canonical_interval_spans_the_bounds() -> None:
+    """The ends and the middle."""
+    suggester = make()
+    ends = suggester.to_env(torch.tensor([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0]]))
+    torch.testing.assert_close(ends, torch.tensor([[-0.4, 1.0], [0.4, 5.0], [0.0, 3.0]]))
+
+
+def test_several_suggestions_need_critics() -> None:
+    """They could only be picked by chance."""
+    suggester = make()
+    with pytest.raises(ValueError, match="mode first, K 3: expected K 1 but in mode 'hard'"):
+        OffPolicySuggester(
+            normaliser=suggester.normaliser,
+            policy=suggester.policy,
+            critics=suggester.critics,
+            action_low=LOW,
+            action_high=HIGH,
+            mode="first",
+            suggestions=3,
+            optimism=0.0,
+        )
