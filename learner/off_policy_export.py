@@ -83,6 +83,8 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         "minus_half": constant(-0.5),
         "minus_two": constant(-2.0),
         "two": constant(2.0),
+        "minus_one": constant(-1.0),
+        "plus_one": constant(1.0),
         "log_norm": constant([len(low) * (0.5 * math.log(2.0 * math.pi) + 2.0 * math.log(2.0))]),
     }
     if suggester.mode == "first":
@@ -131,6 +133,7 @@ class _Suggester:
                 case Norm():
                     scale = (f"{name}.{layer.gain}", f"{name}.{layer.offset}")
                     x = self.add("LayerNormalization", x, *scale, axis=-1, epsilon=LAYER_NORM_EPS)
+                    x = self.add("Relu", x) if layer.relu else x
                 case Relu():
                     x = self.add("Relu", x)
                 case Residual():
@@ -183,7 +186,8 @@ class _Suggester:
             index = self.add("ArgMax", score, axis=1, keepdims=1)
             noise = self.add("GatherND", "normal", index, batch_dims=1)
         u = self.add("Add", mean, self.add("Mul", noise, std))
-        self.add("Tanh", u, to="suggestion")
+        # The runtime's tanh goes beyond 1 by one unit of the last place.
+        self.add("Clip", self.add("Tanh", u), "minus_one", "plus_one", to="suggestion")
         self.density(u, noise, log_std)
 
     def density(self, u: str, noise: str, log_std: str) -> None:

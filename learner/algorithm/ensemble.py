@@ -46,7 +46,7 @@ class Form:
         self.layers: list[Layer] = [self.first]
         if network == "mlp":
             for before, after in zip(hidden, [*hidden[1:], outputs], strict=True):
-                self.layers += [*self._norm(before), Relu(), self._linear(before, after)]
+                self.layers += [*self._norm(before, relu=True), self._linear(before, after)]
         else:
             width = hidden[0]
             for inner in hidden[1:]:
@@ -83,11 +83,11 @@ class Form:
     def _linear(self, rows: int, columns: int) -> Linear:
         return Linear(self._add(rows, columns), self._add(1, columns))
 
-    def _norm(self, width: int) -> list[Layer]:
+    def _norm(self, width: int, *, relu: bool = False) -> list[Layer]:
         if not self.layer_norm:
-            return []
+            return [Relu()] if relu else []
         self.gains.append(self._add(1, width))
-        return [Norm(self.gains[-1], self._add(1, width))]
+        return [Norm(self.gains[-1], self._add(1, width), relu=relu)]
 
 
 class Ensemble:
@@ -110,8 +110,8 @@ class Ensemble:
         self.value = flat
         self.grad = torch.zeros_like(flat)
         self._product = flat if precision == "f32" else flat.to(torch.bfloat16)
-        self.weights = Weights(form.views(flat), form.views(self._product))
-        self._grads = form.views(self.grad)
+        self.weights = self._weights(self.value, self._product)
+        self._grads = self._weights(self.grad, self.grad)
 
     def copy(self) -> "Ensemble":
         """The same networks with parameters of their own."""
@@ -127,8 +127,8 @@ class Ensemble:
         """The weights of some members, by their numbers, int64 ``[N]``; gathered, not views."""
         full = self.value.index_select(0, index)
         if self._product is self.value:
-            return Weights(views := self.form.views(full), views)
-        return Weights(self.form.views(full), self.form.views(self._product.index_select(0, index)))
+            return self._weights(full, full)
+        return self._weights(full, self._product.index_select(0, index))
 
     def trace(self, x: Tensor) -> tuple[Tensor, list[Any]]:
         """Map inputs ``[N, in]`` or ``[E, N, in]`` to ``[E, N, out]``.
@@ -150,15 +150,19 @@ class Ensemble:
             grad: Gradient by the outputs, ``[E, N, out]``.
         """
         grad = run_back(self.form.layers[1:], self.weights, self._grads, tape[1:], grad)
-        first = self.form.first
-        by_output = grad.to(self._product.dtype)
-        first.collect(self._grads, tape[0], grad, by_output)
+        self.form.first.collect(self._grads, tape[0], grad.to(self._product.dtype))
 
     def by_input(self, tape: list[Any], grad: Tensor, start: int) -> Tensor:
         """Gradient by the inputs from ``start`` on, ``[E, N, in - start]``; no others are made."""
         grad = run_back(self.form.layers[1:], self.weights, None, tape[1:], grad)
         weight = self.weights.product[self.form.first.weight][:, start:]
-        return torch.bmm(grad.to(weight.dtype), weight.mT).to(grad.dtype)
+        return torch.bmm(grad.to(weight.dtype), weight.mT).to(self.value.dtype)
+
+    def _weights(self, full: Tensor, product: Tensor) -> Weights:
+        views = self.form.views(full)
+        low = views if product is full else self.form.views(product)
+        vectors = [list(view.flatten(1).unbind(0)) if view.shape[1] == 1 else [] for view in views]
+        return Weights(views, low, vectors)
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
@@ -178,8 +182,9 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     kind = weight.dtype
     shown = obs.to(kind).expand(members, rows, -1)
     split = obs.shape[1]
-    seen = torch.bmm(shown, weight[:, :split]) + weights.full[form.first.bias]
+    seen = torch.baddbmm(weights.product[form.first.bias], shown, weight[:, :split])
     acted = torch.bmm(action.to(kind).view(members, -1, size), weight[:, split:])
-    both = acted.view(members, rows, count, -1) + seen.unsqueeze(2)
+    both = acted.view(members, rows, count, -1).to(obs.dtype)
+    both += seen.unsqueeze(2).to(obs.dtype)
     out, _ = run(form.layers[1:], weights, both.view(members, rows * count, -1))
     return out.view(members, rows, count, -1)

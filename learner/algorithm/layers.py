@@ -1,8 +1,8 @@
 """The layers of a network that is evaluated by several members at once, forward and backward.
 
-Each layer knows where its parameters are in `Weights`, maps float32 ``[E, N, in]`` to
-``[E, N, out]`` and remembers what its gradient needs. Matrix products run in the precision of the
-weights they are given, everything around them in float32.
+Each layer knows where its parameters are in `Weights`, maps ``[E, N, in]`` to ``[E, N, out]`` and
+remembers what its gradient needs. Matrix products, and what goes straight into one, are in the
+precision of the weights that are given, everything between them in float32.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,18 @@ _aten = torch.ops.aten
 
 
 class Weights(NamedTuple):
-    """The parameters of E members, each ``[E, rows, columns]``, by number.
+    """The parameters of E members, or their gradients, by number.
 
     Attributes:
-        full: In float32.
+        full: Each ``[E, rows, columns]``, float32.
         product: The same in the precision of matrix products.
+        vectors: Of each with one row, the members one by one, float32 ``[columns]``: finding them
+            takes as long as a small kernel.
     """
 
     full: list[Tensor]
     product: list[Tensor]
+    vectors: list[list[Tensor]]
 
 
 class Layer(Protocol):
@@ -33,16 +36,14 @@ class Layer(Protocol):
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Any]:
         """Map ``[E, N, in]`` to ``[E, N, out]``, and give what `backward` needs."""
 
-    def backward(
-        self, weights: Weights, grads: list[Tensor] | None, seen: Any, grad: Tensor
-    ) -> Tensor:
+    def backward(self, weights: Weights, grads: Weights | None, seen: Any, grad: Tensor) -> Tensor:
         """Turn the gradient by the output into that by the input.
 
         Args:
             weights: As in `forward`.
-            grads: Gradients of the parameters, float32, to be overwritten; ``None``: not wanted.
+            grads: Gradients of the parameters, to be overwritten; ``None``: not wanted.
             seen: From `forward`.
-            grad: ``[E, N, out]``; may be overwritten.
+            grad: ``[E, N, out]``.
         """
 
 
@@ -60,98 +61,98 @@ class Linear:
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Tensor]:
         """Multiply and add."""
-        weight, bias = weights.product[self.weight], weights.full[self.bias]
-        if weight.dtype == x.dtype:
-            return torch.baddbmm(bias, x, weight), x
+        weight, bias = weights.product[self.weight], weights.product[self.bias]
         x = x.to(weight.dtype)
-        return torch.bmm(x, weight) + bias, x
+        return torch.baddbmm(bias, x, weight).to(weights.full[self.bias].dtype), x
 
     def backward(
-        self, weights: Weights, grads: list[Tensor] | None, seen: Tensor, grad: Tensor
+        self, weights: Weights, grads: Weights | None, seen: Tensor, grad: Tensor
     ) -> Tensor:
         """Go through the product."""
         weight = weights.product[self.weight]
-        by_output = grad.to(weight.dtype)
+        grad = grad.to(weight.dtype)
         if grads is not None:
-            self.collect(grads, seen, grad, by_output)
-        return torch.bmm(by_output, weight.mT).to(grad.dtype)
+            self.collect(grads, seen, grad)
+        return torch.bmm(grad, weight.mT)
 
-    def collect(self, grads: list[Tensor], seen: Tensor, grad: Tensor, by_output: Tensor) -> None:
-        """Overwrite the gradients of W and b."""
-        torch.sum(grad, 1, keepdim=True, out=grads[self.bias])
-        if by_output.dtype == grad.dtype:
-            torch.bmm(seen.mT, by_output, out=grads[self.weight])
-        else:
-            grads[self.weight].copy_(torch.bmm(seen.mT, by_output))
+    def collect(self, grads: Weights, seen: Tensor, grad: Tensor) -> None:
+        """Overwrite the gradients of W and b; ``grad`` is in the precision of the product."""
+        by_weight, by_bias = grads.full[self.weight], grads.full[self.bias]
+        if grad.dtype == by_weight.dtype:
+            torch.bmm(seen.mT, grad, out=by_weight)
+            torch.sum(grad, 1, keepdim=True, out=by_bias)
+        else:  # to let the kernels write float32 costs a copy of what they read
+            by_weight.copy_(torch.bmm(seen.mT, grad))
+            by_bias.copy_(grad.sum(1, keepdim=True))
 
 
 class Relu:
     """``max(x, 0)``, without parameters."""
 
-    def forward(self, _: Weights, x: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Tensor]:
         """Cut at 0."""
-        x = torch.relu(x)
+        x = torch.relu(x).to(weights.product[0].dtype)
         return x, x
 
-    def backward(self, _: Weights, __: list[Tensor] | None, seen: Tensor, grad: Tensor) -> Tensor:
+    def backward(self, _: Weights, __: Weights | None, seen: Tensor, grad: Tensor) -> Tensor:
         """Let through what was above 0."""
-        through: Tensor = _aten.threshold_backward(grad, seen, 0)
-        return through
+        return _above_zero(grad, seen)
 
 
 class Norm:
-    """Layer normalisation with gain and offset.
+    """Layer normalisation with gain and offset, and max(x, 0) where wanted.
 
-    Member by member: the kernel takes one gain, and is so twice as fast as one without and two
-    more for gain and offset.
+    Member by member: the kernel takes one gain, and is so faster than one without and two more
+    for gain and offset.
 
     Args:
         gain: Number of the gain, ``[E, 1, width]``.
         offset: Number of the offset, ``[E, 1, width]``.
+        relu: Whether to cut at 0.
     """
 
-    def __init__(self, gain: int, offset: int) -> None:
+    def __init__(self, gain: int, offset: int, *, relu: bool) -> None:
         self.gain = gain
         self.offset = offset
+        self.relu = relu
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Any]:
         """Normalise over the last dimension."""
-        out = torch.empty_like(x)
-        moments = []
-        for member, rows in enumerate(x):
-            gain, offset = weights.full[self.gain][member], weights.full[self.offset][member]
+        out = torch.empty(x.shape, dtype=weights.product[0].dtype, device=x.device)
+        parts = (x.unbind(0), out.unbind(0), *self._vectors(weights))
+        tape = []
+        for rows, into, gain, offset in zip(*parts, strict=True):
             normal, mean, rstd = torch.native_layer_norm(
-                rows, rows.shape[-1:], gain.view(-1), offset.view(-1), LAYER_NORM_EPS
+                rows, gain.shape, gain, offset, LAYER_NORM_EPS
             )
-            out[member] = normal
-            moments.append((mean, rstd))
-        return out, (x, moments)
+            into.copy_(normal.relu_() if self.relu else normal)
+            tape.append((rows, mean, rstd))
+        return out, (out, tape)
 
-    def backward(
-        self, weights: Weights, grads: list[Tensor] | None, seen: Any, grad: Tensor
-    ) -> Tensor:
+    def backward(self, weights: Weights, grads: Weights | None, seen: Any, grad: Tensor) -> Tensor:
         """Go through the normalisation."""
-        x, moments = seen
-        through = torch.empty_like(grad)
+        out, tape = seen
+        through = torch.empty_like(out)
+        if self.relu:
+            grad = _above_zero(grad, out)
+        grad = grad.to(tape[0][0].dtype)
         wanted = grads is not None
-        for member, (mean, rstd) in enumerate(moments):
-            rows = x[member]
-            gain, offset = weights.full[self.gain][member], weights.full[self.offset][member]
+        parts = (tape, grad.unbind(0), through.unbind(0), *self._vectors(weights))
+        found = []
+        for (rows, mean, rstd), by_out, into, gain, offset in zip(*parts, strict=True):
             by_input, by_gain, by_offset = _aten.native_layer_norm_backward(
-                grad[member],
-                rows,
-                rows.shape[-1:],
-                mean,
-                rstd,
-                gain.view(-1),
-                offset.view(-1),
-                [True, wanted, wanted],
+                by_out, rows, gain.shape, mean, rstd, gain, offset, [True, wanted, wanted]
             )
-            through[member] = by_input
-            if grads is not None:
-                grads[self.gain][member, 0] = by_gain
-                grads[self.offset][member, 0] = by_offset
+            into.copy_(by_input)
+            found.append((by_gain, by_offset))
+        if grads is not None:
+            for each, gain, offset in zip(found, *self._vectors(grads), strict=True):
+                gain.copy_(each[0])
+                offset.copy_(each[1])
         return through
+
+    def _vectors(self, weights: Weights) -> tuple[list[Tensor], list[Tensor]]:
+        return weights.vectors[self.gain], weights.vectors[self.offset]
 
 
 class Residual:
@@ -170,7 +171,7 @@ class Residual:
         return inside + x, tape
 
     def backward(
-        self, weights: Weights, grads: list[Tensor] | None, seen: list[Any], grad: Tensor
+        self, weights: Weights, grads: Weights | None, seen: list[Any], grad: Tensor
     ) -> Tensor:
         """Add what comes through the inner layers to what goes past them."""
         return run_back(self.inner, weights, grads, seen, grad) + grad
@@ -188,7 +189,7 @@ def run(layers: Sequence[Layer], weights: Weights, x: Tensor) -> tuple[Tensor, l
 def run_back(
     layers: Sequence[Layer],
     weights: Weights,
-    grads: list[Tensor] | None,
+    grads: Weights | None,
     tape: list[Any],
     grad: Tensor,
 ) -> Tensor:
@@ -196,3 +197,8 @@ def run_back(
     for layer, seen in zip(reversed(layers), reversed(tape), strict=True):
         grad = layer.backward(weights, grads, seen, grad)
     return grad
+
+
+def _above_zero(grad: Tensor, out: Tensor) -> Tensor:
+    through: Tensor = _aten.threshold_backward(grad, out, 0)
+    return through

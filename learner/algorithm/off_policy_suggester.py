@@ -107,5 +107,5 @@ class OffPolicySuggester:
 
 
 def _in_float32(ensemble: Ensemble) -> tuple[Form, Weights]:
-    full = ensemble.weights.full
-    return ensemble.form, Weights(full, full)
+    weights = ensemble.weights
+    return ensemble.form, weights._replace(product=weights.full)

@@ -98,14 +98,15 @@ def test_graph_takes_any_number_of_observations(rows: int) -> None:
 def test_action_stays_within_asymmetric_bounds(mode: str) -> None:
     """Noise of 50 standard deviations reaches all of them; the suggestion stays canonical."""
     suggester = make(mode)
-    normal = 50.0 * torch.randn(64, suggester.suggestions, 3)
+    generator = torch.Generator().manual_seed(0)
+    normal = 50.0 * torch.randn(64, suggester.suggestions, 3, generator=generator)
     feed = {"obs": np.zeros((64, 4), np.float32), "normal": normal.numpy()}
     run = session(export(suggester, 0, {})).run
     action, suggestion, log_prob = run(["action", "suggestion", "log_prob"], feed)
     assert (action >= LOW.numpy()).all()
     assert (action <= HIGH.numpy()).all()
-    assert (action == LOW.numpy()).any()
-    assert (action == HIGH.numpy()).any()
+    np.testing.assert_allclose(action.min(0), LOW.numpy(), atol=1e-4)
+    np.testing.assert_allclose(action.max(0), HIGH.numpy(), atol=1e-4)
     assert np.abs(suggestion).max() <= 1.0
     assert np.isfinite(log_prob).all()
 
