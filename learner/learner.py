@@ -15,6 +15,7 @@ from a2s.learner.configuration import Configuration
 from a2s.learner.gather import Gather, Terms
 from a2s.learner.learning import Outcome
 from a2s.learner.ledger import Ledger
+from a2s.learner.memory import keep_freed_memory
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
@@ -63,6 +64,7 @@ class Learner:
         self._run = configuration.run
         self._metrics, self._view = metrics, view
         torch.set_num_threads(self._run.threads)
+        keep_freed_memory()
         self._at = Standing()
         self._ledger = Ledger(path / "segments.log")
         self._learning = make_learning(configuration, spaces, path, self._ledger, metrics)

@@ -53,7 +53,7 @@ _MODERN: dict[str, Choice] = {
     "prioritised": Choice(False, "large errors of a maximum are its optimism too"),
     "priority_exponent": Choice(0.6, "Schaul et al. 2016, table 3"),
     "importance_exponent": Choice(0.4, "Schaul et al. 2016, table 3"),
-    "send_every_steps": Choice(32, _OURS),
+    "send_every_steps": Choice(8, "a round of 16 environments is then 128 steps"),
     "lead_steps": Choice(256, _OURS),
 }
 
