@@ -77,6 +77,7 @@ class OffPolicyLearning:
         )
         self._updates = 0
         self._update_s = 0.01
+        self._quota = Quota(hyper.send_every_steps, hyper.send_every_steps, 0)
         self._shown_waits: dict[str, int] = {}
         self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
         self._limiter.count_insert(self._replay.end)
@@ -91,7 +92,8 @@ class OffPolicyLearning:
     def quota(self, num_envs: int) -> Quota:
         """As many steps of every environment as an actor sends at once."""
         steps = self._hyper.send_every_steps
-        return Quota(steps * num_envs, steps, 0)
+        self._quota = Quota(steps * num_envs, steps, 0)
+        return self._quota
 
     def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
@@ -114,11 +116,11 @@ class OffPolicyLearning:
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
         """Make the updates that are due, but then let actors have the new weights.
 
-        More steps arrive meanwhile: so a round ends at twice the updates that its own ask for.
+        More steps arrive meanwhile: so a round ends at twice the updates that a quota asks for.
         """
         obs = np.concatenate([segment.obs for segment in segments])
         self._algorithm.observe(torch.from_numpy(obs))
-        most = 2 * math.ceil(len(obs) * self._hyper.updates_per_step)
+        most = 2 * math.ceil(self._quota.batch_steps * self._hyper.updates_per_step)
         total, made, begin_s = torch.zeros(len(_SHOWN)), 0, time.monotonic()
         while made < most and self._limiter.may_sample():
             stats = self._update()

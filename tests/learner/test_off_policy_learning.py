@@ -74,8 +74,8 @@ def test_updates_follow_the_steps_played(learning: Learn) -> None:
     assert [play(run, first, 1) for first in range(4, 8)] == [5, 5, 5, 5]
     for seq in range(8, 16):
         run.keep(segment(seq))
-    run.learn([segment(15)], 0.0, is_behind=False)
-    assert run.updates == 40  # 40 steps came since, but this round was of 5
+    run.learn([segment(seq) for seq in range(8, 16)], 0.0, is_behind=False)
+    assert run.updates == 40  # 40 steps came, but actors are to have new weights
 
 
 @pytest.mark.parametrize("prioritised", [False, True])
@@ -148,9 +148,10 @@ def test_what_came_after_the_checkpoint_is_still_there_and_due(
     run.close()
     again = learning()
     again.load(tensors, scalars)
+    again.quota(num_envs=4)
     outcome = again.learn([segment(99, steps=20)], 0.0, is_behind=False)
     assert outcome.row["replay_rows"] == 12 * 5
-    assert outcome.row["gradient_steps"] == 20
+    assert outcome.row["gradient_steps"] == 40  # 60 steps, 20 of warm-up, 10 ahead, 10 were made
 
 
 def test_a_replay_of_another_environment_is_refused(learning: Learn) -> None:
