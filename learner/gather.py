@@ -308,17 +308,21 @@ class Gather:
     def _ack(self, verdict: Verdict, reason: str, segment: Segment | None) -> Ack:
         steps = 0 if segment is None else segment.num_steps
         self._metrics.received.labels(result=verdict).inc(steps)
+        # What is left of an earlier generation must go before its actor can join this one.
+        is_ours = segment is not None and segment.generation == self._terms.generation
         return Ack(
             verdict=verdict,
             reason=reason,
             generation=self._terms.generation,
             epoch=self._notice.epoch if self._notice else 0,
             weights_version=self._notice.version if self._notice else 0,
-            wait_s=self._wait_s() if self._terms.clock == "async" else 0.0,
+            wait_s=self._wait_s() if is_ours else 0.0,
         )
 
     def _wait_s(self) -> float:
         """How long an actor should wait: too much to learn from is there already."""
+        if self._terms.clock == "lockstep":
+            return 0.0
         if self._terms.max_policy_lag is None:
             return self._hold_s()
         behind = self._pending_steps >= _HELD_BACK_BATCHES * self._batch_steps

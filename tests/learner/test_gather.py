@@ -150,6 +150,8 @@ def test_actors_are_held_back_while_learning_is_too_far_behind(
     assert run.gather.segment(_segment(seq=0)).wait_s == 0.0
     run.is_far_behind = True
     assert run.gather.segment(_segment(seq=1)).wait_s == 1.5
+    stale = run.gather.segment(_segment(seq=2, generation=1))
+    assert (stale.verdict, stale.wait_s) == ("stale", 0.0)  # what is left of before goes quickly
 
 
 def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota(

@@ -85,5 +85,5 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
 
 
 def _steps(log: Path) -> int:
-    lines = log.read_text().splitlines()
-    return sum(int(line.split(" ")[3]) for line in lines if line.count(" ") == 3)
+    lines = [line.split(" ") for line in log.read_text().splitlines()]
+    return sum(int(line[3]) for line in lines if len(line) == 4 and line[2] == "accepted")
