@@ -16,7 +16,7 @@ from system_helpers import REACH, Start, metrics_port, rows, scrape
 from a2s.learner.ledger import Ledger
 from a2s.learner.replay import directory
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 30 * int(os.environ.get("KILLS", "3")))]
 
 WaitFor = Callable[..., None]
 RunA2S = Callable[..., dict[str, Any]]
