@@ -30,7 +30,8 @@ def tables(suite: str, labels: list[str]) -> str:
     for row in rows:
         by_env[row["env"]][row["label"]].append(row)
     parts = [_environment(env, groups, labels) for env, groups in by_env.items()]
-    parts.append(_together(by_env, labels))
+    if UNIT.keys() >= by_env.keys():
+        parts.append(_together(by_env, labels))
     return "\n".join(parts)
 
 
