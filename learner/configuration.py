@@ -17,6 +17,7 @@ import tomlkit
 from a2s.learner import off_policy_presets, presets
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.presets import Choice
 from a2s.protocol.errors import UsageError, nearest
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Clock
@@ -97,19 +98,26 @@ class Configuration:
         document["hyper"] = {k: _plain(v) for k, v in asdict(self.hyper).items()}
         return tomlkit.dumps(document)
 
+    def sources(self) -> dict[str, Choice]:
+        """Every value that the preset has, with its source."""
+        if self.run.variant == "off-policy":
+            return off_policy_presets.choices(self.run.preset)
+        return presets.choices(self.run.preset, self.run.algo)
+
+    def changed(self) -> dict[str, object]:
+        """The hyperparameters that are not those of the preset."""
+        sources = self.sources()
+        values = asdict(self.hyper)
+        return {name: value for name, value in values.items() if value != sources[name].value}
+
     def explain(self) -> str:
         """Every value with its source, one a line, as TOML with comments."""
-        sources = (
-            off_policy_presets.choices(self.run.preset)
-            if self.run.variant == "off-policy"
-            else presets.choices(self.run.preset, self.run.algo)
-        )
+        sources, changed = self.sources(), self.changed()
         lines = ["[run]"]
         lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
         lines += ["", "[hyper]"]
         for name, value in asdict(self.hyper).items():
-            choice = sources[name]
-            source = choice.source if choice.value == value else "set by you"
+            source = "set by you" if name in changed else sources[name].source
             lines.append(f"{name} = {_toml(value)}  # {source}")
         return "\n".join(lines)
 

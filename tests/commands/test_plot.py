@@ -48,6 +48,14 @@ def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None
     assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
 
+def test_an_off_policy_run_is_called_by_its_own_preset(tmp_path: Path) -> None:
+    run = _run(tmp_path / "a", [(10, 1.0)], hyper="tau = 0.01")
+    file = run / "config.toml"
+    file.write_text(file.read_text().replace("[hyper]", 'variant = "off-policy"\n[hyper]'))
+    assert identity(run) == ("Hopper-v5", "off-policy modern, tau=0.01")
+    plot([run], tmp_path / "curves.png")
+
+
 def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode has ended yet"):
         plot([_run(tmp_path / "a", [])], tmp_path / "x.png")

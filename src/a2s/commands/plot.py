@@ -1,14 +1,14 @@
 """``a2s plot``: learning curves as the paper draws them (its figure 4)."""
 
 import csv
-import tomllib
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
-from a2s.learner import presets
+from a2s.learner import configuration
+from a2s.learner.run_directory import CONFIG
 from a2s.protocol.errors import UsageError
 
 mpl.use("agg")
@@ -105,11 +105,9 @@ def plot(runs: list[Path], output: Path) -> None:
 def identity(run: Path) -> tuple[str, str]:
     """Environment, and algorithm and preset with the hyperparameters that differ from it."""
     try:
-        document = tomllib.loads((run / "config.toml").read_text())
-        table, hyper = document["run"], document["hyper"]
-        preset = presets.on_policy(table["preset"], table["algo"], {})
-        changed = {k: v for k, v in hyper.items() if presets.parse(k, v) != getattr(preset, k)}
-        name = f"{table['algo']} {table['preset']}"
-        return table["env"], ", ".join([name, *(f"{k}={v}" for k, v in changed.items())])
-    except (OSError, tomllib.TOMLDecodeError, KeyError, AttributeError):
-        raise UsageError(f"{run}: is not a run directory, it has no usable config.toml") from None
+        found = configuration.assemble(*configuration.read(run / CONFIG))
+    except UsageError as error:
+        raise UsageError(f"{run}: is not a run directory, no usable {CONFIG}: {error}") from None
+    of = found.run
+    name = f"{of.algo} {of.preset}" if of.variant == "on-policy" else f"{of.variant} {of.preset}"
+    return of.env, ", ".join([name, *(f"{k}={v}" for k, v in found.changed().items())])
