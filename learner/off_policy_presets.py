@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
-from a2s.learner.presets import Choice, parse
+from a2s.learner.presets import Choice, parse_all
 from a2s.protocol.errors import UsageError, nearest
 
 _PAPER = "paper, table 3"
@@ -119,8 +119,4 @@ def off_policy(preset: str, overrides: Mapping[str, object]) -> OffPolicyHyper:
         UsageError: A preset or name is unknown, or a value is out of range.
     """
     values = {name: choice.value for name, choice in choices(preset).items()}
-    for name, given in overrides.items():
-        if name not in _FIELDS:
-            raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, _FIELDS)}")
-        values[name] = parse(name, given, _FIELDS)
-    return OffPolicyHyper(**values)  # type: ignore[arg-type]
+    return OffPolicyHyper(**values | parse_all(overrides, _FIELDS))  # type: ignore[arg-type]

@@ -236,20 +236,30 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
         UsageError: A preset, algorithm or name is unknown, or a value is out of range.
     """
     values = {name: choice.value for name, choice in choices(preset, algo).items()}
-    fixed = {name: _A2C[name] for name in ("suggestions", "distil")} if algo == "a2c" else {}
-    for name, given in overrides.items():
-        if name not in _FIELDS:
-            raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, _FIELDS)}")
-        value = parse(name, given)
-        if name in fixed and value != fixed[name].value:
-            raise UsageError(f"{name}: found {value}, expected {fixed[name].value} with algo a2c")
-        values[name] = value
-    return OnPolicyHyper(**values)  # type: ignore[arg-type]
+    given = parse_all(overrides, _FIELDS)
+    for name in ("suggestions", "distil") if algo == "a2c" else ():
+        if name in given and given[name] != _A2C[name].value:
+            raise UsageError(
+                f"{name}: found {given[name]}, expected {_A2C[name].value} with algo a2c"
+            )
+    return OnPolicyHyper(**values | given)  # type: ignore[arg-type]
 
 
 def recovery_of(preset: str, *, on: bool) -> object:
     """The rule of recovery that a preset has for a2s, for a2c with the stabiliser; or ``off``."""
     return choices(preset, "a2s")["recovery"].value if on else "off"
+
+
+def parse_all(overrides: Mapping[str, object], types: Mapping[str, Any]) -> dict[str, object]:
+    """Values for hyperparameters, as `parse` reads each.
+
+    Raises:
+        UsageError: A name is unknown, the nearest is named; or a text cannot be read.
+    """
+    for name in overrides:
+        if name not in types:
+            raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, types)}")
+    return {name: parse(name, given, types) for name, given in overrides.items()}
 
 
 def parse(name: str, given: object, types: Mapping[str, Any] = _FIELDS) -> object:
