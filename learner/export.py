@@ -18,7 +18,7 @@ import numpy as np
 from a2s.learner.algorithm.body import LAYER_NORM_EPS, Body
 from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.algorithm.suggestion import SPREAD_EPS
-from a2s.learner.graph import CONTRACT, Nodes, Numbers, common_numbers, constant, fill
+from a2s.learner.graph import Nodes, Numbers, common_numbers, constant, fill, own_metadata
 
 
 class _Form(NamedTuple):
@@ -52,16 +52,7 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
         The serialised model.
     """
     form = _form(suggester)
-    own = {
-        "contract": CONTRACT,
-        "weights_version": str(weights_version),
-        "K": str(form.suggestions),
-        "mode": form.mode,
-        "obs_size": str(form.obs_size),
-        "action_size": str(form.action_size),
-        "action_low": str(suggester.action_low.tolist()),
-        "action_high": str(suggester.action_high.tolist()),
-    }
+    own = own_metadata(suggester, form.obs_size, weights_version)
     return fill(_template(form), _numbers(suggester, form), {**metadata, **own})
 
 

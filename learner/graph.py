@@ -14,6 +14,8 @@ from onnx import TensorProto, helper
 from torch import Tensor
 
 from a2s.learner.algorithm.networks import OBS_LIMIT, Normaliser
+from a2s.learner.algorithm.off_policy_suggester import OffPolicySuggester
+from a2s.learner.algorithm.suggester import Suggester
 
 CONTRACT = "a2s-suggester-1"
 OPSET = 18
@@ -101,6 +103,22 @@ def common_numbers(low: Array, high: Array, normaliser: Normaliser) -> Numbers:
         numbers |= {"obs_mean": as_array(mean), "obs_factor": as_array(factor)}
         numbers |= {"obs_least": -limit, "obs_most": limit}
     return numbers
+
+
+def own_metadata(
+    suggester: Suggester | OffPolicySuggester, obs_size: int, weights_version: int
+) -> dict[str, str]:
+    """The file's own entries, as docs/protocol.md lists them."""
+    return {
+        "contract": CONTRACT,
+        "weights_version": str(weights_version),
+        "K": str(suggester.suggestions),
+        "mode": suggester.mode,
+        "obs_size": str(obs_size),
+        "action_size": str(len(suggester.action_low)),
+        "action_low": str(suggester.action_low.tolist()),
+        "action_high": str(suggester.action_high.tolist()),
+    }
 
 
 def fill(template: Any, numbers: Numbers, metadata: Mapping[str, str]) -> bytes:

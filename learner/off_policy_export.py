@@ -14,7 +14,7 @@ from a2s.learner.algorithm.ensemble import Ensemble, Form, Network
 from a2s.learner.algorithm.layers import LAYER_NORM_EPS, Layer, Linear, Norm, Relu, Residual
 from a2s.learner.algorithm.off_policy_suggester import OffPolicySuggester
 from a2s.learner.algorithm.squashed import LOG_STD_LEAST, LOG_STD_MOST
-from a2s.learner.graph import CONTRACT, Nodes, Numbers, as_array, common_numbers, constant, fill
+from a2s.learner.graph import Nodes, Numbers, as_array, common_numbers, constant, fill, own_metadata
 
 
 class _Kind(NamedTuple):
@@ -53,16 +53,7 @@ def export(
         normalises=suggester.normaliser.enabled,
         optimistic=suggester.optimism != 0.0,
     )
-    own = {
-        "contract": CONTRACT,
-        "weights_version": str(weights_version),
-        "K": str(kind.suggestions),
-        "mode": kind.mode,
-        "obs_size": str(policy.sizes[0]),
-        "action_size": str(len(suggester.action_low)),
-        "action_low": str(suggester.action_low.tolist()),
-        "action_high": str(suggester.action_high.tolist()),
-    }
+    own = own_metadata(suggester, policy.sizes[0], weights_version)
     return fill(_template(kind), _numbers(suggester), {**metadata, **own})
 
 
