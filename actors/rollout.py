@@ -124,7 +124,6 @@ class Rollout:
         slot.episode_length += 1
         slot.quota_steps += 1
         if terminated or truncated:
-            slot.quota_episodes += 1
             self._tally.episode(slot.episode_return, slot.episode_length, terminated=terminated)
             yield from self._cut(index, notice, terminated=terminated, truncated=truncated)
             if slot.episode_length:
@@ -168,6 +167,7 @@ class Rollout:
             self._drop(slot, len(reward), error)
             return
         slot.malformed = 0
+        slot.quota_episodes += segment.ends_episode
         self._seq += 1
         yield segment
 

@@ -286,7 +286,8 @@ class Gather:
             return ""
         if lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
-        if self._pending_steps >= _MOST_BATCHES * self._batch_steps:
+        is_bounded = self._terms.clock == "lockstep"  # by the quota, however long its episodes
+        if not is_bounded and self._pending_steps >= _MOST_BATCHES * self._batch_steps:
             return "more waits than can be learned from in time"
         return ""
 

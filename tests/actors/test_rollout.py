@@ -123,6 +123,15 @@ def test_an_episode_with_a_reward_that_is_no_number_is_dropped_and_counted(
     assert rollout.segments_made == 0
 
 
+def test_a_dropped_episode_is_not_counted_as_played(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    """The learner waits for two episodes that it can use."""
+    notice = make_notice(quota_steps=1, quota_episodes=2)
+    segments = list(_rollout("NanFirst", 1).play(Suggester(make_graph()), notice, _never))
+    assert [s.obs[0].tolist() for s in segments] == [[1, 0], [2, 0]]
+
+
 @pytest.fixture(autouse=True)
 def _graph(make_graph: MakeGraph) -> None:
     global _GRAPH

@@ -188,6 +188,18 @@ def test_whole_episodes_are_waited_for(tmp_path: Path, make_notice: MakeNotice) 
     assert len(run.batch()) == 3
 
 
+def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
+    tmp_path: Path, make_notice: MakeNotice
+) -> None:
+    """Five episodes of 8 where a batch has 8 steps: an async learner would take four."""
+    run = _Run(tmp_path)
+    run.gather.publish(make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), 8)
+    run.join("a")
+    acks = [run.gather.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
+    assert [ack.verdict for ack in acks] == ["accepted"] * 5
+    assert len(run.batch()) == 5
+
+
 def test_an_actor_that_leaves_is_no_longer_waited_for(run: _Run) -> None:
     run.join("a")
     run.join("b")

@@ -22,6 +22,7 @@ class Count(gymnasium.Env[Obs, Obs]):
         terminates: The end is a terminal state, otherwise a time limit.
         dtype: Of the observations.
         nan_at: Step in which the reward is not a number; -1: never.
+        nan_episodes: Of so many episodes from the first.
         low: Lowest action.
         high: Highest action.
     """
@@ -32,6 +33,7 @@ class Count(gymnasium.Env[Obs, Obs]):
         terminates: bool = True,
         dtype: str = "float64",
         nan_at: int = -1,
+        nan_episodes: float = float("inf"),
         low: tuple[float, ...] = (-1.0, 0.5),
         high: tuple[float, ...] = (3.0, 0.75),
     ) -> None:
@@ -39,7 +41,8 @@ class Count(gymnasium.Env[Obs, Obs]):
         self.action_space = spaces.Box(
             np.array(low, dtype=np.float32), np.array(high, dtype=np.float32)
         )
-        self._length, self._terminates, self._nan_at = length, terminates, nan_at
+        self._length, self._terminates = length, terminates
+        self._nan_at, self._nan_episodes = nan_at, nan_episodes
         self._dtype = dtype
         self._episode, self._step = -1, 0
 
@@ -58,7 +61,8 @@ class Count(gymnasium.Env[Obs, Obs]):
         """Count one step; refuses actions outside the bounds."""
         if not self.action_space.contains(action):
             raise ValueError(f"action {action} is outside {self.action_space}")
-        reward = float("nan") if self._step == self._nan_at else float(self._step + 1)
+        is_nan = self._step == self._nan_at and self._episode < self._nan_episodes
+        reward = float("nan") if is_nan else float(self._step + 1)
         self._step += 1
         over = self._step >= self._length
         return self._obs(), reward, over and self._terminates, over and not self._terminates, {}
@@ -116,6 +120,7 @@ _register("CountTruncated", Count, terminates=False)
 _register("CountFloat32", Count, dtype="float32")
 _register("CountWide", Count, low=(-1.0, 0.5, 0.0), high=(3.0, 0.75, 1.0))
 _register("NanReward", Count, nan_at=2)
+_register("NanFirst", Count, nan_at=2, nan_episodes=1)
 _register("Crash", Crash)
 _register("Reach", Reach)
 _register("DictObs", Spaces, obs=spaces.Dict({"a": _BOX}))
