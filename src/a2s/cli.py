@@ -235,6 +235,26 @@ def plot(
     typer.echo(f"{output}")
 
 
+@app.command()
+def bench(
+    suite: Annotated[str, typer.Argument(help="actor, learner, wire or replay.")],
+    rounds: Annotated[int, typer.Option(min=1, help="Turns of every contender.")] = 9,
+    seconds: Annotated[float, typer.Option(min=0.0, help="Of one turn, at least.")] = 0.2,
+    json_: options.Json = False,
+) -> None:
+    """Measure this machine: rates beside others' in the same run, medians over the rounds."""
+    _require_learner()
+    from a2s.commands import bench as benchmarks
+
+    rows = benchmarks.bench(suite, rounds, seconds)
+    if json_:
+        typer.echo(json.dumps(rows))
+        return
+    for row in rows:
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:8.2f} x the fastest other"
+        typer.echo(f"{row['name']:<44}{row['value']:>14,.6g} {row['unit']:<14}{ratio}")
+
+
 def _require_learner() -> None:
     missing = [m for m in ("torch", "onnx", "safetensors", "matplotlib") if not _installed(m)]
     if missing:

@@ -1,11 +1,19 @@
-"""Which port metrics are served on."""
+"""Which ports are served on."""
 
+import socket
 from collections.abc import Callable
 from typing import TypeVar
 
 from a2s.protocol.errors import UsageError
 
 Served = TypeVar("Served")
+
+
+def free_endpoint() -> str:
+    """Name an endpoint on this machine that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def serve_on(port: int | None, usual: int, serve: Callable[[int], Served]) -> Served:

@@ -7,7 +7,6 @@ learner has ended, then evaluates the policy and draws the curve.
 import ctypes
 import json
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ from typing import IO, Any
 from a2s.actors.environment import describe
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
+from a2s.commands.serving import free_endpoint
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner import run_directory
 from a2s.learner.configuration import Configuration
@@ -59,7 +59,7 @@ def train(
     run = configuration.run
     describe(run.env)
     out = sys.stderr if as_json else sys.stdout
-    endpoint = listen or f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = listen or free_endpoint()
     with tempfile.TemporaryDirectory(prefix="a2s-") as scratch, stop_on_signals() as stop:
         config = Path(scratch) / "config.toml"
         config.write_text(configuration.to_toml())
@@ -156,9 +156,3 @@ def _show(summary: dict[str, Any], path: Path, out: IO[str]) -> None:
         out.write(f"no curve: {error}\n")
     out.write(f"everything  {path}\nagain       a2s evaluate {path} --episodes 10\n")
     out.flush()
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

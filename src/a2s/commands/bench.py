@@ -1,0 +1,110 @@
+"""``a2s bench``: contenders that take turns, so that whatever else the machine does hits all."""
+
+import importlib
+import logging
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any, NamedTuple
+
+from a2s.protocol.errors import UsageError, nearest
+
+logger = logging.getLogger(__name__)
+
+SUITES = ("actor", "learner", "wire", "replay")
+
+
+class Contender(NamedTuple):
+    """One way of doing something.
+
+    Attributes:
+        name: In the table.
+        call: Does it once.
+        size: Units that one call is worth.
+        is_baseline: What others are compared to: the fastest of the baselines.
+    """
+
+    name: str
+    call: Callable[[], object]
+    size: float = 1.0
+    is_baseline: bool = False
+
+
+class Contest(NamedTuple):
+    """Ways of doing the same, and the unit of all, a rate."""
+
+    unit: str
+    contenders: Sequence[Contender]
+
+
+def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
+    """Measure a suite on this machine.
+
+    Args:
+        suite: One of `SUITES`.
+        rounds: Turns of every contender; one more warms up.
+        seconds: Of one turn, at least.
+
+    Returns:
+        Rows ``{name, value, unit, baseline, ratio}``: medians over the rounds of the rate and of
+        the fastest baseline, and of the ratio of both within a round; ``None`` without one.
+
+    Raises:
+        UsageError: There is no such suite.
+    """
+    if suite not in SUITES:
+        raise UsageError(f"unknown benchmark {suite!r}{nearest(suite, SUITES)}")
+    contests_of = importlib.import_module(f"a2s.commands.bench_{suite}").contests
+    with ExitStack() as stack:
+        contests: list[Contest] = contests_of(stack)
+        rows = []
+        for contest in contests:
+            rows += _hold(contest, rounds, seconds)
+    return rows
+
+
+def optional(module: str, package: str) -> Any:
+    """Import a peer to compare with, or say that it is missing and give ``None``."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        logger.warning(
+            "%s is not here, so there is less to compare: pip install %s", *[package] * 2
+        )
+        return None
+
+
+def _hold(contest: Contest, rounds: int, seconds: float) -> list[dict[str, Any]]:
+    found: dict[str, list[float]] = {one.name: [] for one in contest.contenders}
+    for turn in range(rounds + 1):
+        for one in contest.contenders:
+            rate = _rate(one, seconds)
+            found[one.name] += [rate] if turn else []
+    against = [found[one.name] for one in contest.contenders if one.is_baseline]
+    fastest = [max(rates) for rates in zip(*against, strict=True)]
+    rows = []
+    for name, rates in found.items():
+        ratios = [rate / best for rate, best in zip(rates, fastest, strict=False)]
+        rows.append(
+            {
+                "name": name,
+                "value": _rounded(rates),
+                "unit": contest.unit,
+                "baseline": _rounded(fastest),
+                "ratio": _rounded(ratios),
+            }
+        )
+    return rows
+
+
+def _rate(one: Contender, seconds: float) -> float:
+    count, begin_s = 0, time.perf_counter()
+    while (spent_s := time.perf_counter() - begin_s) < seconds or count == 0:
+        one.call()
+        count += 1
+    return count * one.size / spent_s
+
+
+def _rounded(values: list[float]) -> float | None:
+    return float(f"{statistics.median(values):.4g}") if values else None

@@ -1,0 +1,71 @@
+"""Acting in one process: environments, suggestions and segments, beside bare environments."""
+
+from contextlib import ExitStack
+
+import numpy as np
+import torch
+
+from a2s.actors.environment import Environment
+from a2s.actors.metrics import Tally
+from a2s.actors.rollout import Rollout
+from a2s.actors.suggester import Suggester
+from a2s.commands.bench import Contender, Contest
+from a2s.learner.algorithm.on_policy import OnPolicy
+from a2s.learner.export import export
+from a2s.learner.presets import on_policy
+from a2s.protocol.messages import Notice, Spaces
+
+ENV_IDS = ("Hopper-v5", "HalfCheetah-v5")
+ENVS, STEPS = 16, 32
+
+
+def contests(stack: ExitStack) -> list[Contest]:
+    """Make the environments, and graphs of the default networks with their first weights."""
+    del stack
+    torch.set_num_threads(1)
+    return [
+        Contest(
+            "env steps/s",
+            [_acting(env_id, 10), _acting(env_id, 1), _bare(env_id)],
+        )
+        for env_id in ENV_IDS
+    ]
+
+
+def _acting(env_id: str, suggestions: int) -> Contender:
+    environments = [Environment(env_id) for _ in range(ENVS)]
+    suggester = Suggester(_graph(environments[0].spaces, suggestions))
+    rollout = Rollout("bench", environments, 0, Tally())
+    notice = Notice(
+        generation=1, epoch=0, version=1, quota_steps=STEPS, quota_episodes=0, num_bytes=1,
+        sha256="",
+    )  # fmt: skip
+    return Contender(
+        f"{env_id}: a2s, K {suggestions}",
+        lambda: list(rollout.play(suggester, notice, lambda: False)),
+        ENVS * STEPS,
+    )
+
+
+def _graph(spaces: Spaces, suggestions: int) -> bytes:
+    hyper = on_policy("modern", "a2s", {"suggestions": suggestions, "warm_up": "none"})
+    algorithm = OnPolicy(spaces.obs_size, len(spaces.action_low), hyper, 0)
+    bounds = torch.from_numpy(spaces.action_low), torch.from_numpy(spaces.action_high)
+    return export(algorithm.suggester(*bounds), 1, {})
+
+
+def _bare(env_id: str) -> Contender:
+    """Step with random actions that were drawn before, and reset; nothing is recorded."""
+    environment = Environment(env_id)
+    spaces, rng = environment.spaces, np.random.default_rng(0)
+    size = (STEPS, len(spaces.action_low))
+    actions = rng.uniform(spaces.action_low, spaces.action_high, size).astype(np.float32)
+    environment.reset(0)
+
+    def step() -> None:
+        for action in actions:
+            _, _, terminated, truncated = environment.step(action)
+            if terminated or truncated:
+                environment.reset()
+
+    return Contender(f"{env_id}: random actions", step, STEPS, is_baseline=True)
