@@ -1,11 +1,15 @@
-"""Segments to a batch: the one place where what came over the wire becomes tensors."""
+"""Arrays to tensors: segments to a batch, rows of a replay to transitions."""
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
 
 from a2s.learner.algorithm.batch import Batch
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.transitions import Transitions
+from a2s.learner.replay import transitions as stored
 from a2s.protocol.messages import Segment
 
 
@@ -29,3 +33,40 @@ def to_batch(segments: Sequence[Segment]) -> Batch:
             [s.episode_return for s in segments if s.ends_episode], dtype=torch.float32
         ),
     )
+
+
+class Source(Protocol):
+    """A replay to draw from: one's own, the files of another run, or what its learner serves."""
+
+    def sample(
+        self,
+        batch_size: int,
+        rng: np.random.Generator,
+        *,
+        n_step: int = 1,
+        gamma: float = 0.99,
+        prioritised: bool = False,
+        beta: float = 0.4,
+    ) -> stored.Transitions:
+        """Draw transitions."""
+        ...
+
+
+def draw(
+    source: Source, hyper: OffPolicyHyper, rng: np.random.Generator
+) -> tuple[Transitions, stored.Rows]:
+    """Draw the batch of an update, and the rows that it came from.
+
+    Raises:
+        A2SError: The source refuses, or is gone.
+    """
+    drawn = source.sample(
+        hyper.batch_rows,
+        rng,
+        n_step=hyper.n_step,
+        gamma=hyper.gamma,
+        prioritised=hyper.prioritised,
+        beta=hyper.importance_exponent,
+    )
+    tensors = (torch.from_numpy(getattr(drawn, name)) for name in Transitions._fields)
+    return Transitions(*tensors), drawn.row

@@ -19,7 +19,7 @@ from a2s.learner.memory import keep_freed_memory
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
-from a2s.learner.report import Report, Standing
+from a2s.learner.report import Report, Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.learner.service import Service
 from a2s.learner.variants import make_learning
@@ -124,7 +124,7 @@ class Learner:
 
         self._publish()
         self._checkpoint()
-        while self._at.env_steps < self._run.total_steps:
+        while self._at.env_steps < self._run.total_steps and not stopped():
             batch = self._next_batch(proceed)
             if not batch:
                 break
@@ -285,7 +285,14 @@ class Learner:
             self._record.add(episode_return, length)
 
     def _finish(self) -> dict[str, Any]:
-        summary = self._report.summary(self._directory.path, self._latest)
+        summary = summarise(
+            self._run,
+            self._at,
+            self._record,
+            self._gather.accounts(),
+            self._directory.path,
+            self._latest,
+        )
         self._directory.event("end", env_steps=self._at.env_steps)
         write_summary(self._directory.path, summary)
         self._directory.close()

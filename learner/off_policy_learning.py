@@ -12,7 +12,7 @@ from torch import Tensor
 
 from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
-from a2s.learner.algorithm.transitions import Transitions
+from a2s.learner.batching import draw
 from a2s.learner.learning import Outcome, Quota
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
@@ -168,21 +168,10 @@ class OffPolicyLearning:
         self._replay.close()
 
     def _update(self) -> OffPolicyStats:
-        hyper = self._hyper
-        drawn = self._replay.sample(
-            hyper.batch_rows,
-            self._rng,
-            n_step=hyper.n_step,
-            gamma=hyper.gamma,
-            prioritised=hyper.prioritised,
-            beta=hyper.importance_exponent,
-        )
-        batch = Transitions(
-            *(torch.from_numpy(getattr(drawn, name)) for name in Transitions._fields)
-        )
+        batch, rows = draw(self._replay, self._hyper, self._rng)
         stats = self._algorithm.update(batch)
-        if hyper.prioritised:
-            self._replay.update_priorities(drawn.row, stats.error.numpy())
+        if self._hyper.prioritised:
+            self._replay.update_priorities(rows, stats.error.numpy())
         self._limiter.count_sample()
         self._updates += 1
         return stats

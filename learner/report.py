@@ -9,6 +9,7 @@ from typing import Any
 
 from a2s.learner.configuration import RunConfig
 from a2s.learner.gather import Gather
+from a2s.learner.ledger import Accounts
 from a2s.learner.progress import Progress
 from a2s.learner.record import EpisodeRecord
 from a2s.protocol.messages import RunStatus
@@ -105,30 +106,41 @@ class Report:
             actors=tuple(m.status for m in self._gather.members() if m.status is not None),
         )
 
-    def summary(self, path: Path, graph: bytes) -> dict[str, Any]:
-        """For ``summary.json`` and ``--json``.
 
-        Args:
-            path: Directory of the run.
-            graph: The final weights.
-        """
-        run, at = self._run, self._at
-        return {
-            "run_dir": str(path),
-            "env": run.env,
-            "variant": run.variant,
-            "algo": run.algo,
-            "preset": run.preset,
-            "seed": run.seed,
-            "env_steps": at.env_steps,
-            "episodes": self._record.count,
-            "updates": at.updates,
-            "wall_s": round(at.wall_s(), 3),
-            "env_steps_per_s": round(at.env_steps_per_s(), 1),
-            "return_mean_last_10": self._record.recent_return,
-            "return_best": self._record.best,
-            "recoveries": at.epoch,
-            "segments": asdict(self._gather.accounts()),
-            "weights_sha256": hashlib.sha256(graph).hexdigest(),
-            "finished": at.env_steps >= run.total_steps,
-        }
+def summarise(
+    run: RunConfig,
+    at: Standing,
+    record: EpisodeRecord,
+    accounts: Accounts,
+    path: Path,
+    graph: bytes,
+) -> dict[str, Any]:
+    """For ``summary.json`` and ``--json``.
+
+    Args:
+        run: The options of the run.
+        at: Where it stands.
+        record: Its episodes.
+        accounts: Its segments.
+        path: Its directory.
+        graph: The final weights.
+    """
+    return {
+        "run_dir": str(path),
+        "env": run.env,
+        "variant": run.variant,
+        "algo": run.algo,
+        "preset": run.preset,
+        "seed": run.seed,
+        "env_steps": at.env_steps,
+        "episodes": record.count,
+        "updates": at.updates,
+        "wall_s": round(at.wall_s(), 3),
+        "env_steps_per_s": round(at.env_steps_per_s(), 1),
+        "return_mean_last_10": record.recent_return,
+        "return_best": record.best,
+        "recoveries": at.epoch,
+        "segments": asdict(accounts),
+        "weights_sha256": hashlib.sha256(graph).hexdigest(),
+        "finished": at.env_steps >= run.total_steps,
+    }

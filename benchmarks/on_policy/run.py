@@ -36,7 +36,8 @@ LABELS: dict[str, tuple[str, ...]] = {
     "k1": ("--suggestions", "1"),
     "k4": ("--suggestions", "4"),
     "hard": ("--set", "selection=hard"),
-    "no-eq6": ("--set", "distil=off"),
+    "eq6": ("--set", "distil=joint"),
+    "temperature-1": ("--set", "temperature=1"),
     "no-recovery": ("--set", "recovery=off"),
 }
 
@@ -56,7 +57,7 @@ SUITES = {
     "million": Suite(MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000),
     "ablation": Suite(
         ("Hopper-v5", "HalfCheetah-v5"),
-        ("modern", "k1", "k4", "hard", "no-eq6", "no-recovery"),
+        ("modern", "k1", "k4", "hard", "temperature-1", "eq6", "no-recovery"),
         (0, 1, 2),
         300_000,
     ),

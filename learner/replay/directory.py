@@ -20,6 +20,12 @@ from a2s.protocol.errors import RunDirectoryError, UsageError
 from a2s.protocol.messages import Spaces
 
 
+def find(path: Path) -> Path:
+    """Find the replay of a run directory, or take the path itself for one."""
+    inside = path / "replay"
+    return inside if (inside / description.NAME).exists() else path
+
+
 def create(
     path: Path,
     env_id: str,

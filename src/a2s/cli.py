@@ -67,6 +67,15 @@ def learner(
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = _LOOPBACK,
+    replay_from: Annotated[
+        str | None,
+        typer.Option(
+            envvar="A2S_REPLAY_FROM",
+            metavar="RUN",
+            help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
+        ),
+    ] = None,
+    connect: options.Connect = DEFAULT_ENDPOINT,
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
@@ -74,7 +83,8 @@ def learner(
     from a2s.commands.configure import configure
 
     given = {
-        "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
+        "env": env, "total_steps": total_steps, "seed": seed, "run": run,
+        "variant": variant or ("off-policy" if replay_from else None),
         "algo": algo, "preset": preset, "suggestions": suggestions, "recovery": recovery,
         "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads,
@@ -84,8 +94,22 @@ def learner(
     if print_config:
         typer.echo(configuration.explain())
         return
-    from a2s.commands.learner import learn
+    from a2s.commands.learner import learn, learn_from
 
+    if replay_from is not None:
+        raise typer.Exit(
+            learn_from(
+                configuration,
+                path,
+                replay_from,
+                env=env,
+                connect=connect,
+                metrics_host=metrics_host,
+                metrics_port=metrics_port,
+                resume=resume,
+                as_json=json_,
+            )
+        )
     raise typer.Exit(
         learn(
             configuration,

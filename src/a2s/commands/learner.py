@@ -3,19 +3,27 @@
 import json
 import logging
 import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from a2s.actors.environment import describe
 from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
 from a2s.learner import run_directory
+from a2s.learner.batching import Source
 from a2s.learner.configuration import Configuration
+from a2s.learner.from_replay import FromReplay
 from a2s.learner.learner import Learner
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import make_view
-from a2s.protocol.keys import DEFAULT_ENDPOINT
+from a2s.learner.replay import directory
+from a2s.learner.replay.description import Description
+from a2s.learner.replay.remote import RemoteReplay
+from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
+from a2s.protocol.messages import ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464
@@ -76,6 +84,98 @@ def learn(
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")
     return EXIT_INTERRUPTED if stop.interrupted else 0
+
+
+def learn_from(
+    configuration: Configuration,
+    path: Path,
+    source: str,
+    *,
+    env: str | None,
+    connect: str,
+    metrics_host: str,
+    metrics_port: int | None,
+    resume: bool,
+    as_json: bool,
+) -> int:
+    """Learn from the replay of another run, without actors.
+
+    Args:
+        configuration: Of this run; the replay says which environment it is.
+        path: Directory of this run.
+        source: A run directory, or the name of a run whose learner listens on ``connect``.
+        env: What the user expects it to be of, if anything.
+        connect: Endpoint of that learner.
+        metrics_host: Where metrics are served.
+        metrics_port: The port; -1: not served.
+        resume: Go on with ``path``.
+        as_json: End with the summary as one line.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        UsageError: The variant is not off-policy, or the environment another.
+        A2SError: The replay cannot be read or reached.
+    """
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    if configuration.run.variant != "off-policy":
+        raise UsageError("--replay-from: only --variant off-policy learns from a replay")
+    out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
+    with ExitStack() as stack:
+        replay, about, size = _source(source, connect, stack)
+        if env not in (None, about.env_id):
+            raise UsageError(
+                f"--env: found {env}, expected {about.env_id}, as the replay of {source}"
+            )
+        run = replace(configuration.run, env=about.env_id)
+        stop = stack.enter_context(stop_on_signals())
+        url = stack.enter_context(_served(metrics, metrics_host, metrics_port))
+        learner = FromReplay(
+            configuration=replace(configuration, run=run),
+            spaces=about.spaces,
+            source=replay,
+            size=size,
+            path=path,
+            metrics=metrics,
+            resume=resume,
+        )
+        metrics.run.info(
+            {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
+        )
+        text = replace(configuration, run=run).to_toml()
+        run_directory.write_atomically(path / run_directory.CONFIG, text.encode())
+        out.write(
+            f"a2s learner: {run.env} from the replay of {source}, {size():,} transitions\n"
+            f"  metrics     {url}\n  run         {path}\n"
+        )
+        out.flush()
+        summary = learner.run(stop.is_set)
+    policy = path / "latest" / "policy.onnx"
+    out.write(
+        f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s\npolicy      {policy}\n"
+    )
+    out.flush()
+    if as_json:
+        sys.stdout.write(json.dumps(summary) + "\n")
+    return EXIT_INTERRUPTED if stop.interrupted else 0
+
+
+def _source(
+    source: str, connect: str, stack: ExitStack
+) -> tuple[Source, Description | ReplayInfo, Callable[[], int]]:
+    """Open the replay of a run: what it is, and how many transitions it holds."""
+    if Path(source).is_dir():
+        stored = directory.look_at(directory.find(Path(source)))
+        return stored, stored.about, lambda: len(stored)
+    bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
+    remote = RemoteReplay(bus, Keys(source))
+
+    def size() -> int:
+        info = remote.info()
+        return info.end - info.begin
+
+    return remote, remote.info(), size
 
 
 @contextmanager

@@ -6,19 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from a2s.learner.replay import description, directory
+from a2s.learner.replay import directory
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.transitions import Transitions
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import COLUMNS
 from a2s.protocol.zenoh_bus import ZenohBus
-
-
-def find(path: Path) -> Path:
-    """Find the replay of a run directory, or take the path itself for one."""
-    inside = path / "replay"
-    return inside if (inside / description.NAME).exists() else path
 
 
 def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
@@ -38,7 +32,7 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
     """
     if _is_stored(path, connect):
         assert path is not None
-        replay = directory.look_at(find(path))
+        replay = directory.look_at(directory.find(path))
         about, begin, end = replay.about, replay.begin, replay.end
         more: dict[str, Any] = {"torn_records": replay.torn_records}
         return _describe(about.env_id, about.spaces, about.capacity, begin, end) | more
@@ -70,7 +64,7 @@ def sample(
     rng = np.random.default_rng(seed)
     if _is_stored(path, connect):
         assert path is not None
-        return directory.look_at(find(path)).sample(batch_size, rng, **how)
+        return directory.look_at(directory.find(path)).sample(batch_size, rng, **how)
     assert connect is not None
     with closing(ZenohBus.connect(connect, lambda: False)) as bus:
         return RemoteReplay(bus, Keys(run)).sample(batch_size, rng, **how)

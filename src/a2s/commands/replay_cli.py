@@ -89,10 +89,10 @@ def export(
     Episodes of which not all steps are there are left out and counted: those whose beginning was
     evicted, with a segment lost, or not over yet. Needs a2s[minari].
     """
-    from a2s.commands import replay
     from a2s.commands.minari_export import export as write
+    from a2s.learner.replay import directory
 
-    found = write(replay.find(run_dir), dataset, root)
+    found = write(directory.find(run_dir), dataset, root)
     if json_:
         typer.echo(json.dumps(found))
         return

@@ -202,10 +202,11 @@ def test_selection_fades_to_indifference() -> None:
     algorithm.update(play(algorithm, 0))
     bounds = -torch.ones(A), torch.ones(A)
     temperatures = [algorithm.suggester(*bounds, p).temperature for p in (0.0, 0.5, 1.0)]
-    assert temperatures == [1.0, 2.0, 1000.0]
+    first = algorithm.hyper.temperature
+    assert temperatures == [first, 2 * first, 1000 * first]
     stays = make(selection_fades=False)
     stays.update(play(stays, 0))
-    assert stays.suggester(*bounds, 1.0).temperature == 1.0
+    assert stays.suggester(*bounds, 1.0).temperature == first
 
 
 def test_authors_recovery_restores_the_networks_and_still_learns() -> None:

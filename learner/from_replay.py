@@ -1,0 +1,198 @@
+"""A learner that plays nothing: it learns off-policy from what another run keeps or serves."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from a2s.learner import checkpoint
+from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.transitions import Transitions
+from a2s.learner.batching import Source, draw
+from a2s.learner.configuration import Configuration
+from a2s.learner.ledger import Accounts
+from a2s.learner.memory import keep_freed_memory
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.off_policy_export import export
+from a2s.learner.record import EpisodeRecord
+from a2s.learner.report import Standing, summarise
+from a2s.learner.run_directory import RunDirectory, write_summary
+from a2s.protocol.errors import A2SError
+from a2s.protocol.messages import Spaces
+
+logger = logging.getLogger(__name__)
+
+_SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
+COLUMNS = ("update", "wall_s", "env_steps", "weights_version", "epoch", "replay_rows", *_SHOWN)
+_ROUND = 100
+_STATISTICS_ROWS = 4096
+_ASK_AGAIN_S = 1.0
+_PATIENCE_S = 10.0
+
+
+class FromReplay:
+    """Makes the updates that ``total_steps`` environment steps are worth, from another's replay.
+
+    Nothing is changed there: priorities are the other learner's own.
+
+    Args:
+        configuration: Of this run; its variant is off-policy.
+        spaces: Of the environment of the replay.
+        source: The replay.
+        size: Asks how many transitions it holds now.
+        path: Directory of this run.
+        metrics: Where updates are shown.
+        resume: Go on from the newest checkpoint in ``path``.
+
+    Raises:
+        RunDirectoryError: ``path`` cannot be written, or resumed.
+    """
+
+    def __init__(
+        self,
+        *,
+        configuration: Configuration,
+        spaces: Spaces,
+        source: Source,
+        size: Callable[[], int],
+        path: Path,
+        metrics: LearnerMetrics,
+        resume: bool,
+    ) -> None:
+        hyper = configuration.hyper
+        assert isinstance(hyper, OffPolicyHyper)
+        self._run, self._hyper = configuration.run, hyper
+        self._source, self._size, self._metrics = source, size, metrics
+        torch.set_num_threads(self._run.threads)
+        keep_freed_memory()
+        self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
+        seed = self._run.seed
+        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+        self._at = Standing()
+        self._directory = RunDirectory(path, COLUMNS, self._at.wall_s)
+        if resume:
+            self._resume()
+        self._at.generation = self._directory.count_start()
+        self._at.steps_at_start = self._at.env_steps
+
+    def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Learn until the updates are made, or until stopped.
+
+        Returns:
+            The summary, as in ``summary.json``.
+
+        Raises:
+            A2SError: The replay is gone, or the networks are no longer finite; what was learned
+                is in the checkpoint.
+        """
+        self._directory.event("start", generation=self._at.generation, env_steps=self._at.env_steps)
+        self._metrics.target_steps.set(self._run.total_steps)
+        try:
+            if self._is_filled(stopped):
+                with ThreadPoolExecutor(1, thread_name_prefix="replay") as ahead:
+                    self._learn(ahead, stopped)
+        finally:
+            self._checkpoint()
+        return self._finish()
+
+    def _is_filled(self, stopped: Callable[[], bool]) -> bool:
+        """Wait until there is as much as a learner with actors would wait for."""
+        wanted = max(self._hyper.warm_up_steps, self._hyper.batch_rows)
+        said_s = time.monotonic()
+        while (found := self._size()) < wanted:
+            if stopped():
+                return False
+            if time.monotonic() - said_s >= _PATIENCE_S:
+                said_s = time.monotonic()
+                logger.warning("waiting for %d transitions, the replay has %d", wanted, found)
+            time.sleep(_ASK_AGAIN_S)
+        return True
+
+    def _learn(self, ahead: ThreadPoolExecutor, stopped: Callable[[], bool]) -> None:
+        """Update round by round; the next batch is fetched while one is learned from."""
+        if self._at.updates == 0:
+            drawn = self._source.sample(_STATISTICS_ROWS, self._rng)
+            self._algorithm.observe(torch.from_numpy(drawn.obs))
+        coming = ahead.submit(self._draw)
+        while self._at.env_steps < self._run.total_steps and not stopped():
+            total = torch.zeros(len(_SHOWN))
+            for _ in range(_ROUND):
+                batch, coming = coming.result(), ahead.submit(self._draw)
+                stats = self._algorithm.update(batch)
+                total += torch.stack([getattr(stats, name) for name in _SHOWN])
+            self._at.updates += _ROUND
+            self._at.env_steps = int(self._at.updates / self._hyper.updates_per_step)
+            self._algorithm.observe(batch.obs)
+            if not self._algorithm.is_finite():
+                raise A2SError(
+                    f"update {self._at.updates}: found non-finite weights, expected finite"
+                )
+            self._write(dict(zip(_SHOWN, (total / _ROUND).tolist(), strict=True)))
+        _settle(coming)
+
+    def _draw(self) -> Transitions:
+        batch, _ = draw(self._source, self._hyper, self._rng)
+        return batch
+
+    def _write(self, means: Mapping[str, float]) -> None:
+        size = self._size()
+        self._metrics.show_off_policy(means, _ROUND)
+        self._metrics.replay_rows.set(size)
+        position = (
+            self._at.updates,
+            round(self._at.wall_s(), 3),
+            self._at.env_steps,
+            self._at.updates,
+            0,
+        )
+        self._directory.update(
+            {**dict(zip(COLUMNS, position, strict=False)), "replay_rows": size, **means}
+        )
+        self._at.rows += 1
+        if self._at.updates % self._run.checkpoint_every_updates < _ROUND:
+            self._checkpoint()
+
+    def _graph(self) -> bytes:
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=self._at.updates == 0)
+        return export(suggester, self._at.updates, {"env": self._run.env, "algo": self._run.algo})
+
+    def _checkpoint(self) -> None:
+        self._directory.policy("latest", self._graph())
+        state = {
+            "updates": self._at.updates,
+            "rows": self._at.rows,
+            "wall_s": self._at.wall_s(),
+            "rng": self._rng.bit_generator.state,
+        }
+        folder = self._directory.path / "checkpoints"
+        checkpoint.save(folder, self._at.updates, self._algorithm.state(), state)
+
+    def _resume(self) -> None:
+        tensors, state = checkpoint.load(self._directory.path / "checkpoints")
+        self._algorithm.load(tensors)
+        self._at.updates, self._at.rows = state["updates"], state["rows"]
+        self._at.env_steps = int(self._at.updates / self._hyper.updates_per_step)
+        self._at.worked_s = state["wall_s"]
+        self._rng.bit_generator.state = state["rng"]
+        self._directory.keep_updates(self._at.rows)
+
+    def _finish(self) -> dict[str, Any]:
+        none = Accounts(sent=0, accepted=0, duplicate=0, stale=0, refused=0, lost=0)
+        path = self._directory.path
+        summary = summarise(self._run, self._at, EpisodeRecord(), none, path, self._graph())
+        self._directory.event("end", env_steps=self._at.env_steps)
+        write_summary(self._directory.path, summary)
+        self._directory.close()
+        return summary
+
+
+def _settle(coming: "Future[Transitions]") -> None:
+    """Wait for a batch that nobody needs any more; whether it came does not matter."""
+    coming.exception()
