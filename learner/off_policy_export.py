@@ -80,12 +80,12 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
     }
     if suggester.mode == "first":
         return numbers | {"zero": constant([0.0])}
-    obs_size = suggester.policy.form.sizes[0]
     for member in range(suggester.critics.members):
         name = f"q{member}"
         numbers |= _network_numbers(name, suggester.critics, member)
-        first = numbers.pop(f"{name}.0")
-        numbers |= {f"{name}.obs": first[:obs_size], f"{name}.action": first[obs_size:]}
+        first = numbers.pop(f"{name}.{suggester.critics.form.first.weight}")
+        split = len(first) - len(low)
+        numbers |= {f"{name}.obs": first[:split], f"{name}.action": first[split:]}
     return numbers | {
         "axis_2": np.array([2], np.int64),
         "optimism": constant(suggester.optimism),
@@ -136,7 +136,9 @@ class _Suggester:
     def critic(self, name: str, seen: str, action: str) -> str:
         """Values ``[B, K, 1]``; the observation's part of the first layer once for all K."""
         kind = self.kind
-        form = Form(kind.critic_sizes, network=kind.network, layer_norm=kind.layer_norm)
+        late = kind.policy_sizes[-1] // 2
+        form = Form(kind.critic_sizes, network=kind.network, layer_norm=kind.layer_norm, late=late)
+        seen = self.network(name, form.trunk, seen)
         part = self.add("Gemm", seen, f"{name}.obs", f"{name}.{form.first.bias}")
         x = self.add("MatMul", action, f"{name}.action")
         x = self.add("Add", x, self.add("Unsqueeze", part, "axis_1"))

@@ -146,6 +146,7 @@ class OffPolicyLearning:
         return self._algorithm.state(), {
             "updates": self._updates,
             "limiter": self._limiter.state(),
+            "highest_priority": self._replay.highest_priority,
             "rng": self._rng.bit_generator.state,
         }
 
@@ -154,6 +155,7 @@ class OffPolicyLearning:
         self._algorithm.load(tensors)
         self._updates = scalars["updates"]
         self._limiter.load({**scalars["limiter"], "inserts": self._replay.end})
+        self._replay.highest_priority = scalars["highest_priority"]
         self._shown_waits = {
             "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
         }  # fmt: skip

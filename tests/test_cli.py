@@ -96,6 +96,12 @@ def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
     assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
 
 
+def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
+    assert "\nsuggestions = 3  # set by you" in _print_config("--suggestions", "3")
+    off = _print_config("--suggestions", "3", "--variant", "off-policy")
+    assert "\nact_suggestions = 3  # set by you" in off
+
+
 @pytest.mark.parametrize(
     ("arguments", "rule"),
     [

@@ -4,14 +4,14 @@ Their gradient is written out: see ``body.py`` for why.
 """
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
 from a2s.learner.algorithm.layers import Layer, Linear, Norm, Relu, Residual, Weights, run, run_back
 
-Network = Literal["mlp", "residual"]
+Network = Literal["mlp", "residual", "trunk"]
 Precision = Literal["f32", "bf16"]
 
 # Parameters start at multiples of this, so that kernels find them aligned.
@@ -24,27 +24,40 @@ class Form:
     ``mlp``: Linear, layer normalisation, ReLU for each hidden layer; then Linear. ``residual``:
     Linear to the first hidden size; for each further one a block that adds to its input
     normalisation, Linear to that size, ReLU and Linear back; then normalisation and Linear.
+    ``trunk``: as ``mlp``, but the ``late`` inputs, an action, come in behind the first hidden
+    layer: it is computed once however many actions there are.
 
     Args:
         sizes: Units of input, hidden layers or blocks, and output.
-        network: ``mlp`` or ``residual``.
+        network: One of the three.
         layer_norm: Whether there is any normalisation.
+        late: The last inputs that a ``trunk`` does not see; 0 makes it an ``mlp``.
 
-    Source: for ``residual`` SimBa (Lee et al. 2024), figure 4.
+    Source: for ``residual`` SimBa (Lee et al. 2024), figure 4; for ``trunk`` the multi-action Q
+    that the paper names as future work.
     """
 
-    def __init__(self, sizes: tuple[int, ...], *, network: Network, layer_norm: bool) -> None:
+    def __init__(
+        self, sizes: tuple[int, ...], *, network: Network, layer_norm: bool, late: int = 0
+    ) -> None:
         self.sizes = sizes
         self.network = network
         self.layer_norm = layer_norm
+        self.late = late if network == "trunk" else 0
         self.shapes: list[tuple[int, int]] = []
         self.starts: list[int] = []
         self.length = 0
         self.gains: list[int] = []
         inputs, *hidden, outputs = sizes
+        self.trunk: list[Layer] = []
+        if self.late:
+            width = hidden.pop(0)
+            self.enter = self._linear(inputs - late, width)
+            self.trunk = [self.enter, *self._norm(width, relu=True)]
+            inputs = width + late
         self.first = self._linear(inputs, hidden[0])
         self.layers: list[Layer] = [self.first]
-        if network == "mlp":
+        if network != "residual":
             for before, after in zip(hidden, [*hidden[1:], outputs], strict=True):
                 self.layers += [*self._norm(before, relu=True), self._linear(before, after)]
         else:
@@ -90,6 +103,13 @@ class Form:
         return [Norm(self.gains[-1], self._add(1, width), relu=relu)]
 
 
+class Tape(NamedTuple):
+    """What the layers of the trunk, and those above it, remember of one pass."""
+
+    below: list[Any]
+    above: list[Any]
+
+
 class Ensemble:
     """E networks of one form with their parameters and gradients as one vector each.
 
@@ -130,32 +150,55 @@ class Ensemble:
             return self._weights(full, full)
         return self._weights(full, self._product.index_select(0, index))
 
-    def trace(self, x: Tensor) -> tuple[Tensor, list[Any]]:
+    def trace(self, x: Tensor) -> tuple[Tensor, Tape]:
         """Map inputs ``[N, in]`` or ``[E, N, in]`` to ``[E, N, out]``.
 
         Returns:
             The outputs, and what `differentiate` needs.
         """
-        return run(self.form.layers, self.weights, x.expand(self.members, *x.shape[-2:]))
+        form = self.form
+        below: list[Any] = []
+        x = x.expand(self.members, *x.shape[-2:])
+        if form.trunk:
+            shown, late = x[..., : -form.late], x[..., -form.late :]
+            inner, below = run(form.trunk, self.weights, shown)
+            x = torch.cat([inner, late.to(inner.dtype)], dim=-1)
+        out, above = run(form.layers, self.weights, x)
+        return out, Tape(below, above)
 
     def __call__(self, x: Tensor) -> Tensor:
         """The outputs of `trace`."""
         return self.trace(x)[0]
 
-    def differentiate(self, tape: list[Any], grad: Tensor) -> None:
+    def differentiate(self, tape: Tape, grad: Tensor) -> None:
         """Overwrite the gradients of all parameters.
 
         Args:
             tape: From `trace`.
             grad: Gradient by the outputs, ``[E, N, out]``.
         """
-        grad = run_back(self.form.layers[1:], self.weights, self._grads, tape[1:], grad)
-        self.form.first.collect(self._grads, tape[0], grad.to(self._product.dtype))
+        form, weights, grads, kind = self.form, self.weights, self._grads, self._product.dtype
+        grad = run_back(form.layers[1:], weights, grads, tape.above[1:], grad)
+        if not form.trunk:
+            form.first.collect(grads, tape.above[0], grad.to(kind))
+            return
+        joined = form.first.backward(weights, grads, tape.above[0], grad)
+        inner = joined[..., : -form.late]
+        grad = run_back(form.trunk[1:], weights, grads, tape.below[1:], inner)
+        form.enter.collect(grads, tape.below[0], grad.to(kind))
 
-    def by_input(self, tape: list[Any], grad: Tensor, start: int) -> Tensor:
-        """Gradient by the inputs from ``start`` on, ``[E, N, in - start]``; no others are made."""
-        grad = run_back(self.form.layers[1:], self.weights, None, tape[1:], grad)
-        weight = self.weights.product[self.form.first.weight][:, start:]
+    def by_input(self, tape: Tape, grad: Tensor, start: int) -> Tensor:
+        """Gradient by the inputs from ``start`` on, ``[E, N, in - start]``; no others are made.
+
+        Of a ``trunk`` they must be among the late ones.
+        """
+        form = self.form
+        grad = run_back(form.layers[1:], self.weights, None, tape.above[1:], grad)
+        count = form.sizes[0] - start
+        if form.trunk and count > form.late:
+            raise ValueError(f"found {count} inputs, a trunk gives the gradient of {form.late}")
+        weight = self.weights.product[form.first.weight]
+        weight = weight[:, weight.shape[1] - count :]
         return torch.bmm(grad.to(weight.dtype), weight.mT).to(self.value.dtype)
 
     def _weights(self, full: Tensor, product: Tensor) -> Weights:
@@ -181,7 +224,9 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     weight = weights.product[form.first.weight]
     kind = weight.dtype
     shown = obs.to(kind).expand(members, rows, -1)
-    split = obs.shape[1]
+    if form.trunk:
+        shown = run(form.trunk, weights, shown)[0].to(kind)
+    split = shown.shape[2]
     seen = torch.baddbmm(weights.product[form.first.bias], shown, weight[:, :split])
     acted = torch.bmm(action.to(kind).view(members, -1, size), weight[:, split:])
     both = acted.view(members, rows, count, -1).to(obs.dtype)

@@ -73,7 +73,9 @@ class OffPolicyHyper:
     dropped_quantiles: int
     """Atoms per critic that a target leaves out, the largest of all; fewer than ``quantiles``."""
     network: Network
-    """``mlp``; ``residual``: a block that adds to its input for each size after the first."""
+    """``mlp``; ``residual``: a block that adds to its input for each size after the first;
+    ``trunk``: critics whose first layer sees no action, so that several of one observation cost
+    less."""
     critic_sizes: tuple[int, ...]
     """Units of the hidden layers of each critic."""
     policy_sizes: tuple[int, ...]
@@ -141,6 +143,8 @@ class OffPolicyHyper:
         if self.dropped_quantiles >= self.quantiles:
             expected = f"fewer than quantiles ({self.quantiles})"
             refuse("dropped_quantiles", self.dropped_quantiles, expected)
+        if self.network == "trunk" and len(self.critic_sizes) < 2:
+            refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
         if self.policy_loss == "score" and self.distil_suggestions == 1:
             refuse("distil_suggestions", 1, "at least 2 with policy_loss score")
 

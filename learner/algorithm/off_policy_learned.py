@@ -37,15 +37,16 @@ class OffPolicyLearned:
         generator: torch.Generator,
         device: torch.device,
     ) -> None:
-        def make(sizes: tuple[int, ...], members: int) -> Ensemble:
-            form = Form(sizes, network=hyper.network, layer_norm=hyper.layer_norm)
+        def make(sizes: tuple[int, ...], members: int, late: int = 0) -> Ensemble:
+            form = Form(sizes, network=hyper.network, layer_norm=hyper.layer_norm, late=late)
             first = form.draw(members, generator).to(device)
             return Ensemble(form, first, precision=hyper.precision)
 
         self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs).to(device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
-        self.critics = make((joined, *hyper.critic_sizes, hyper.quantiles), hyper.critics)
+        sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
+        self.critics = make(sizes, hyper.critics, late=action_size)
         self.targets = self.critics.copy()
         self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
         self.learns_temperature = hyper.temperature_learning_rate > 0

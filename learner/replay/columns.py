@@ -1,11 +1,11 @@
 """How transitions lie in memory: four columns, written by stretches and read by single rows."""
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
+import xxhash
 
 from a2s.protocol.messages import Array, Spaces
 
@@ -52,11 +52,11 @@ class Columns:
             getattr(self, column.name)[:] = getattr(other, column.name)
 
     def checksum(self) -> int:
-        """CRC-32 of all bytes, column by column."""
-        crc = zlib.crc32(self.obs.data)
-        for column in (self.action, self.next_obs, self.outcome):
-            crc = zlib.crc32(column.data, crc)
-        return crc
+        """XXH3, 64 bits, of all bytes, column by column."""
+        digest = xxhash.xxh3_64()
+        for column in (self.obs, self.action, self.next_obs, self.outcome):
+            digest.update(column.data.cast("B"))
+        return digest.intdigest()
 
 
 def in_memory(name: str, shape: tuple[int, int]) -> Array:

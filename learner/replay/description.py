@@ -11,7 +11,7 @@ from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.messages import Spaces
 
 NAME = "replay.json"
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -85,7 +85,7 @@ class StoredEpisodes:
             piece = Columns(
                 rows.obs.copy(), rows.action.copy(), rows.next_obs.copy(), rows.outcome.copy()
             )
-            if piece.checksum() != record.rows_crc:
+            if piece.checksum() != record.rows_hash:
                 return None
             pieces.append(piece)
         if not pieces:

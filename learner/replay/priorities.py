@@ -4,11 +4,15 @@ Source: Schaul et al. 2016, "Prioritized Experience Replay" (arXiv:1511.05952), 
 3.4, proportional variant. Differs: weights are divided by the highest of the batch.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from a2s.learner.replay.sum_tree import Floats, SumTree
-from a2s.learner.replay.transitions import Rows
+from a2s.learner.replay.transitions import Floats, Rows
 from a2s.protocol.messages import Array
+
+if TYPE_CHECKING:
+    from a2s.learner.replay.sum_tree import SumTree
 
 _EPSILON = 1e-6
 
@@ -22,13 +26,16 @@ class Priorities:
     Args:
         priority: Where they lie, float32 ``[S]`` for S slots.
         alpha: Exponent: 0 is uniform, 1 fully proportional.
+
+    Attributes:
+        highest: What a new row gets: the highest priority so far, at least 1.
     """
 
     def __init__(self, priority: Array, alpha: float) -> None:
         self._priority = priority
         self._alpha = alpha
         self._tree: SumTree | None = None
-        self._highest = 1.0
+        self.highest = 1.0
 
     def restore(self, begin: int, end: int) -> None:
         """Take up the priorities of the rows from ``begin`` to below ``end``.
@@ -40,14 +47,14 @@ class Priorities:
         bad = ~(np.isfinite(found) & (found >= 0))
         if bad.any():
             self._priority[slots[bad]] = 1.0
-        self._highest = max(1.0, float(self._priority[slots].max(initial=0.0)))
+        self.highest = max(1.0, float(self._priority[slots].max(initial=0.0)))
 
     def admit(self, begin: int, end: int) -> None:
         """Give new rows, which lie in one stretch, the highest priority so far."""
         slot = begin % len(self._priority)
-        self._priority[slot : slot + end - begin] = self._highest
+        self._priority[slot : slot + end - begin] = self.highest
         if self._tree is not None:
-            value = float(self._leaf(np.array([self._highest], np.float32))[0])
+            value = float(self._leaf(np.array([self.highest], np.float32))[0])
             self._tree.assign_range(slot, slot + end - begin, value)
 
     def evict(self, begin: int, end: int) -> None:
@@ -83,6 +90,8 @@ class Priorities:
             slots = np.arange(begin, end) % size
             leaves = np.zeros(size, np.float32)
             leaves[slots] = self._leaf(self._priority[slots])
+            from a2s.learner.replay.sum_tree import SumTree  # half a second: only who needs it
+
             self._tree = SumTree(leaves)
         slot = self._tree.draw(batch_size, rng)
         leaf = self._tree.leaves.take(slot)
@@ -92,7 +101,7 @@ class Priorities:
     def assign(self, row: Rows, priority: Floats) -> None:
         """Set the priorities of live rows, ``[B]``, for example their absolute TD errors."""
         slot = row % len(self._priority)
-        self._highest = max(self._highest, float(priority.max(initial=0.0)))
+        self.highest = max(self.highest, float(priority.max(initial=0.0)))
         rounded = priority.astype(np.float32)  # as a resumed run will read it
         self._priority[slot] = rounded
         if self._tree is not None:

@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
 
-_PACKED = struct.Struct("<qqqqiiB3xI96s")
+_PACKED = struct.Struct("<qqqqiiB7xQ96s")
 _CHECKSUM = struct.Struct("<I")
 RECORD_BYTES = _PACKED.size + _CHECKSUM.size
 _NUMBERS = np.dtype(
     {
-        "names": ["row", "previous", "seq", "episode_length", "env", "steps", "flags", "rows_crc"],
-        "formats": ["<i8", "<i8", "<i8", "<i8", "<i4", "<i4", "u1", "<u4"],
-        "offsets": [0, 8, 16, 24, 32, 36, 40, 44],
+        "names": ["row", "previous", "seq", "episode_length", "env", "steps", "flags", "rows_hash"],
+        "formats": ["<i8", "<i8", "<i8", "<i8", "<i4", "<i4", "u1", "<u8"],
+        "offsets": [0, 8, 16, 24, 32, 36, 40, 48],
         "itemsize": RECORD_BYTES,
     }
 )
@@ -36,7 +36,7 @@ class Record(NamedTuple):
         steps: Rows.
         flags: Sum of ``TERMINATED`` and ``TRUNCATED`` (how the last row ends the episode),
             ``STARTS`` (the first row begins one), ``CONTINUES`` (the segment has more records).
-        rows_crc: CRC-32 of the rows' bytes.
+        rows_hash: XXH3 of the rows' bytes, 64 bits.
         actor: Sender of the segment.
     """
 
@@ -47,7 +47,7 @@ class Record(NamedTuple):
     env: int
     steps: int
     flags: int
-    rows_crc: int
+    rows_hash: int
     actor: str
 
     @property

@@ -105,14 +105,14 @@ class Records:
         if not len(self):
             return
         reach = self._last.end - capacity - 2 * longest_piece(capacity)
-        while len(self) and checksum(self._last) != self._last.rows_crc:
+        while len(self) and checksum(self._last) != self._last.rows_hash:
             self._end -= 1
             self.torn += 1
         self._cut_unfinished()
         # What was written after these rows may lie over them, if much of it was cut.
         self._begin += int(np.count_nonzero(self.numbers["row"] < reach))
         for record in self.live(capacity):
-            if checksum(record) != record.rows_crc:
+            if checksum(record) != record.rows_hash:
                 raise self._damaged(f"the checksum of the rows from {record.row} does not match")
 
     @property

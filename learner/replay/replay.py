@@ -12,8 +12,7 @@ from a2s.learner.replay.index import Index
 from a2s.learner.replay.priorities import Priorities
 from a2s.learner.replay.ring import Ring, num_slots
 from a2s.learner.replay.store import Store
-from a2s.learner.replay.sum_tree import Floats
-from a2s.learner.replay.transitions import Rows, Transitions
+from a2s.learner.replay.transitions import Floats, Rows, Transitions
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.messages import Array, Segment, Spaces
 
@@ -89,6 +88,15 @@ class Replay:
     def end(self) -> int:
         """Rows ever inserted, and so the number of the next."""
         return self._ring.end
+
+    @property
+    def highest_priority(self) -> float:
+        """What a new row gets; a resumed run sets it, to go on to the bit."""
+        return self._priorities.highest
+
+    @highest_priority.setter
+    def highest_priority(self, value: float) -> None:
+        self._priorities.highest = value
 
     def insert(self, segment: Segment) -> Rows:
         """Add the steps of a segment, evicting as many of the oldest as do not fit.
@@ -198,7 +206,7 @@ class Replay:
         record = ring.write(segment, begin)
         if self._index is not None:
             rows = ring.stretch(record.row, record.steps)
-            record = record._replace(rows_crc=rows.checksum())
+            record = record._replace(rows_hash=rows.checksum())
             self._index.append(record.pack(), oldest)
         ring.admit(record)
         self._priorities.admit(record.row, record.end)

@@ -22,7 +22,7 @@ def copy_newest(source: Ring, records: list[Record], target: Ring) -> bytes:
             piece = _piece(record, target)
             rows = target.stretch(piece.row, piece.steps)
             rows.copy(source.stretch(piece.row, piece.steps))
-            piece = piece._replace(rows_crc=rows.checksum())
+            piece = piece._replace(rows_hash=rows.checksum())
             target.admit(piece)
             packed.append(piece.pack())
     return b"".join(packed)

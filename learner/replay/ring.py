@@ -85,7 +85,7 @@ class Ring:
             env=segment.env,
             steps=end - begin,
             flags=flags,
-            rows_crc=0,
+            rows_hash=0,
             actor=segment.actor,
         )
 

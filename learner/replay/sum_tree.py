@@ -1,28 +1,25 @@
-"""Drawing in proportion to priorities: a tree of sums, every level handled for a whole batch.
+"""Drawing in proportion to priorities: a tree of sums, compiled (docs/adr/0005).
 
-Sixteen children a node: with numpy the price is per level, and a level of sixteen costs hardly
-more than one of two (docs/adr/0005). A node is always the sum of its children, computed anew, so
-rounding does not build up.
+Sixteen children a node, which are one cache line. A node is always the sum of its children, added
+up anew and in order: rounding does not build up, and the same leaves make the same tree.
 """
 
+import numba
 import numpy as np
-import numpy.typing as npt
 
-from a2s.learner.replay.transitions import Rows
+from a2s.learner.replay.transitions import Floats, Rows
 from a2s.protocol.messages import Array
 
-Floats = npt.NDArray[np.float64]
-
 _FAN_OUT = 16
-_MOST_ROOTS = 8192
-_ONES = np.ones(_FAN_OUT, np.float32)
-_PREFIX = np.triu(np.ones((_FAN_OUT, _FAN_OUT), np.float32))
+
+# Compiled once and kept on the disk; no array is copied, and the interpreter is free meanwhile.
+_compiled = numba.njit(cache=True, nogil=True)
 
 
 class SumTree:
     """Non-negative leaves, drawn with a chance in proportion to each.
 
-    Nodes are float32, which halves the memory that a draw touches; the top level is added up in
+    Nodes are float32, which halves the memory that a draw touches; the way down is computed in
     float64.
 
     Args:
@@ -30,34 +27,34 @@ class SumTree:
     """
 
     def __init__(self, leaves: Array) -> None:
-        self._levels = [_padded(leaves)]
-        while len(self._levels[-1]) > _MOST_ROOTS:
-            self._levels.append(_padded(self._levels[-1].reshape(-1, _FAN_OUT) @ _ONES))
+        counts = [len(leaves)]
+        while counts[-1] > _FAN_OUT:
+            counts.append(-(-counts[-1] // _FAN_OUT))
+        sizes = [-(-count // _FAN_OUT) * _FAN_OUT for count in counts]
+        self._starts = np.cumsum([0, *sizes[:-1]])
+        self._nodes = np.zeros(sum(sizes), np.float32)
+        self._nodes[: len(leaves)] = leaves
+        self._leaves = self._nodes[: len(leaves)]
+        _add_up(self._nodes, self._starts, 0, len(leaves))
 
     @property
     def leaves(self) -> Array:
-        """The values, float32 ``[N]`` and some zeros behind them; not to be written to."""
-        return self._levels[0]
+        """The values, float32 ``[N]``; not to be written to."""
+        return self._leaves
 
     @property
     def total(self) -> float:
         """Sum of all leaves."""
-        return float(self._levels[-1].sum(dtype=np.float64))
+        return float(self._nodes[self._starts[-1] :].sum(dtype=np.float64))
 
     def assign(self, leaf: Rows, value: Array) -> None:
         """Set leaves, ``[B]``; where one is named twice, the last value counts."""
-        self._levels[0][leaf] = value
-        for below, level in zip(self._levels, self._levels[1:], strict=False):
-            leaf = leaf // _FAN_OUT
-            level[leaf] = below.reshape(-1, _FAN_OUT).take(leaf, axis=0) @ _ONES
+        _assign(self._nodes, self._starts, leaf, value)
 
     def assign_range(self, begin: int, end: int, value: float) -> None:
         """Set the leaves from ``begin`` to below ``end``."""
-        self._levels[0][begin:end] = value
-        for below, level in zip(self._levels, self._levels[1:], strict=False):
-            begin, end = begin // _FAN_OUT, -(-end // _FAN_OUT)
-            children = below[begin * _FAN_OUT : end * _FAN_OUT].reshape(-1, _FAN_OUT)
-            level[begin:end] = children @ _ONES
+        self._nodes[begin:end] = value
+        _add_up(self._nodes, self._starts, begin, end)
 
     def draw(self, batch_size: int, rng: np.random.Generator) -> Rows:
         """Draw leaves, one from each of ``batch_size`` equal shares of the total.
@@ -67,31 +64,61 @@ class SumTree:
         Returns:
             Their indices, int64 ``[B]``; a leaf of 0 is never among them.
         """
-        share = np.arange(batch_size) + rng.random(batch_size)
-        leaf = self._find(share / batch_size)
-        while (empty := self.leaves.take(leaf) <= 0.0).any():  # only by rounding
-            leaf[empty] = self._find(rng.random(int(empty.sum())))
-        return leaf
-
-    def _find(self, quantile: Floats) -> Rows:
-        """Find the leaf at each quantile of the total, ``[B]``."""
-        roots = self._levels[-1]
-        upto = roots.cumsum(dtype=np.float64)
-        rest = np.minimum(quantile * upto[-1], np.nextafter(upto[-1], 0.0))
-        node: Rows = upto.searchsorted(rest, side="right")
-        left = (rest - upto.take(node)).astype(np.float32) + roots.take(node)
-        first = np.arange(len(node)) * _FAN_OUT
-        for level in self._levels[-2::-1]:
-            children = level.reshape(-1, _FAN_OUT).take(node, axis=0)
-            prefix = children @ _PREFIX
-            child = (prefix > left[:, None]).argmax(axis=1)
-            node = node * _FAN_OUT + child
-            if level is not self._levels[0]:
-                place = first + child
-                left -= prefix.ravel().take(place) - children.ravel().take(place)
-        return node
+        share = (np.arange(batch_size) + rng.random(batch_size)) / batch_size
+        found: Rows = _find(self._nodes, self._starts, share)
+        return found
 
 
-def _padded(level: Array) -> Array:
-    """Fill up with zeros to whole families."""
-    return np.pad(level, (0, -len(level) % _FAN_OUT)).astype(np.float32)
+@_compiled  # type: ignore[untyped-decorator]
+def _sum_of(nodes: Array, first: int) -> np.float32:
+    total = np.float32(0.0)
+    for child in range(_FAN_OUT):
+        total += nodes[first + child]
+    return total
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _assign(nodes: Array, starts: Rows, leaf: Rows, value: Array) -> None:
+    for i in range(len(leaf)):
+        nodes[leaf[i]] = value[i]
+    for i in range(len(leaf)):
+        node = leaf[i]
+        for level in range(len(starts) - 1):
+            node //= _FAN_OUT
+            nodes[starts[level + 1] + node] = _sum_of(nodes, starts[level] + node * _FAN_OUT)
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
+    """Make the nodes above the leaves from ``begin`` to below ``end`` anew."""
+    for level in range(len(starts) - 1):
+        begin //= _FAN_OUT
+        end = (end + _FAN_OUT - 1) // _FAN_OUT
+        for node in range(begin, end):
+            nodes[starts[level + 1] + node] = _sum_of(nodes, starts[level] + node * _FAN_OUT)
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _find(nodes: Array, starts: Rows, quantile: Floats) -> Rows:
+    """Find the leaf at each quantile of the total, ``[B]``; never one of 0."""
+    leaf = np.empty(len(quantile), np.int64)
+    top = starts[-1]
+    total = 0.0
+    for child in range(_FAN_OUT):
+        total += nodes[top + child]
+    for i in range(len(quantile)):
+        rest = quantile[i] * total
+        node = 0
+        for level in range(len(starts) - 1, -1, -1):
+            first = starts[level] + node * _FAN_OUT
+            chosen = 0
+            for child in range(_FAN_OUT):
+                width = np.float64(nodes[first + child])
+                if width > 0.0:
+                    chosen = child
+                    if rest < width:
+                        break
+                    rest -= width
+            node = node * _FAN_OUT + chosen
+        leaf[i] = node
+    return leaf

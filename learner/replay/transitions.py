@@ -8,6 +8,7 @@ import numpy.typing as npt
 from a2s.protocol.messages import Array
 
 Rows = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -59,7 +59,9 @@ def assert_agree(suggester: OffPolicySuggester, rows: int = 33) -> None:
 
 @pytest.mark.parametrize(
     ("mode", "network", "layer_norm", "critics"),
-    list(itertools.product(["first", "hard"], ["mlp", "residual"], [True, False], [1, 2, 3])),
+    list(
+        itertools.product(["first", "hard"], ["mlp", "residual", "trunk"], [True, False], [1, 2, 3])
+    ),
 )
 def test_graph_agrees_for_every_form_of_network(
     mode: str, network: str, layer_norm: bool, critics: int
@@ -78,6 +80,7 @@ def test_graph_agrees_for_every_form_of_network(
         {"precision": "bf16"},
         {"policy_sizes": "12", "critic_sizes": "6"},
         {"policy_sizes": "12,5,4", "critic_sizes": "6,5,4", "network": "residual"},
+        {"critic_sizes": "6,5,4", "network": "trunk"},
     ],
     ids=str,
 )

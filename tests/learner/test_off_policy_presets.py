@@ -69,7 +69,11 @@ def test_overrides_are_read_by_the_type_of_their_field(
     [
         ({"act_suggestions": 0}, "act_suggestions: found 0, expected an integer from 1 to 1024"),
         ({"tau": 0}, "tau: found 0.0, expected a number from 1e-06 to 1"),
-        ({"network": "cnn"}, "network: found 'cnn', expected one of mlp, residual"),
+        ({"network": "cnn"}, "network: found 'cnn', expected one of mlp, residual, trunk"),
+        (
+            {"network": "trunk", "critic_sizes": "9"},
+            r"critic_sizes: found \(9,\), expected at least two with network trunk",
+        ),
         ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
         ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
         ({"replay_rows": 9}, r"batch_rows: found 256, expected at most replay_rows \(9\)"),

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from a2s.learner.algorithm.ensemble import Ensemble
+from a2s.learner.algorithm.ensemble import Ensemble, Form
 from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.algorithm.transitions import Transitions
 
@@ -37,37 +37,67 @@ class Block(nn.Module):
         return out
 
 
+class Trunk(nn.Module):
+    """What is seen before the late inputs, and then joined with them."""
+
+    def __init__(self, layers: nn.Sequential, late: int) -> None:
+        super().__init__()
+        self.layers = layers
+        self.late = late
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Join."""
+        return torch.cat([self.layers(x[..., : -self.late]), x[..., -self.late :]], -1)
+
+
+class _Taking:
+    """Makes modules of the parameters that are left, from the first on."""
+
+    def __init__(self, form: Form, left: list[Tensor]) -> None:
+        self.form, self.left = form, left
+
+    def linear(self) -> nn.Linear:
+        """Take a weight and a bias."""
+        weight, bias = self.left.pop(0), self.left.pop(0)
+        layer = nn.Linear(*weight.shape)
+        layer.weight.data, layer.bias.data = weight.t().clone(), bias[0].clone()
+        return layer
+
+    def norm(self) -> list[nn.Module]:
+        """Take a gain and an offset, if the form has them."""
+        if not self.form.layer_norm:
+            return []
+        gain, offset = self.left.pop(0), self.left.pop(0)
+        layer = nn.LayerNorm(gain.shape[1])
+        layer.weight.data, layer.bias.data = gain[0].clone(), offset[0].clone()
+        return [layer]
+
+    def network(self) -> nn.Sequential:
+        """Take all."""
+        form, hidden = self.form, self.form.sizes[1:-1]
+        parts: list[nn.Module] = [self.linear()]
+        if form.network == "residual":
+            for _ in hidden[1:]:
+                inner = (*self.norm(), self.linear(), nn.ReLU(), self.linear())
+                parts.append(Block(nn.Sequential(*inner)))
+            return nn.Sequential(*parts, *self.norm(), self.linear())
+        if form.late:
+            below = nn.Sequential(*parts, *self.norm(), nn.ReLU())
+            parts, hidden = [Trunk(below, form.late), self.linear()], hidden[1:]
+        for _ in hidden:
+            parts += [*self.norm(), nn.ReLU(), self.linear()]
+        return nn.Sequential(*parts)
+
+
 def modules(ensemble: Ensemble) -> list[nn.Sequential]:
     """Each member as ordinary modules with the same weights."""
-    form = ensemble.form
     nets = []
     for member in range(ensemble.members):
-        left = [view[member] for view in form.views(ensemble.value)]
-
-        def linear(left: list[Tensor] = left) -> nn.Linear:
-            weight, bias = left.pop(0), left.pop(0)
-            layer = nn.Linear(*weight.shape)
-            layer.weight.data, layer.bias.data = weight.t().clone(), bias[0].clone()
-            return layer
-
-        def norm(left: list[Tensor] = left) -> list[nn.Module]:
-            if not form.layer_norm:
-                return []
-            gain, offset = left.pop(0), left.pop(0)
-            layer = nn.LayerNorm(gain.shape[1])
-            layer.weight.data, layer.bias.data = gain[0].clone(), offset[0].clone()
-            return [layer]
-
-        parts: list[nn.Module] = [linear()]
-        for _ in form.sizes[2:-1] if form.network == "residual" else form.sizes[1:-1]:
-            if form.network == "mlp":
-                parts += [*norm(), nn.ReLU(), linear()]
-            else:
-                parts.append(Block(nn.Sequential(*norm(), linear(), nn.ReLU(), linear())))
-        if form.network == "residual":
-            parts += [*norm(), linear()]
-        assert left == []
-        nets.append(nn.Sequential(*parts))
+        taking = _Taking(
+            ensemble.form, [view[member] for view in ensemble.form.views(ensemble.value)]
+        )
+        nets.append(taking.network())
+        assert taking.left == []
     return nets
 
 

@@ -25,7 +25,7 @@ def configure(
 
     Args:
         options: Of the command line; ``None`` where not given. ``lockstep`` stands for the clock,
-            ``suggestions`` and ``recovery`` for the hyperparameters.
+            ``suggestions`` and ``recovery`` for hyperparameters.
         settings: ``KEY=VALUE`` hyperparameters.
         config: A configuration file; a resumed run has its own.
         run_dir: Directory of the run, if the user names one.
@@ -39,12 +39,13 @@ def configure(
     if "lockstep" in given:
         given["clock"] = "lockstep" if given.pop("lockstep") else "async"
     hyper = configuration.parse_settings(settings or [])
-    if "suggestions" in given:
-        hyper["suggestions"] = given.pop("suggestions")
     if resume:
         path = run_directory.choose(ROOT, given.get("run", "default"), run_dir, resume=True)
         config = config or path / run_directory.CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
+    if "suggestions" in given:
+        is_off = given.get("variant", run_table.get("variant")) == "off-policy"
+        hyper["act_suggestions" if is_off else "suggestions"] = given.pop("suggestions")
     if "recovery" in given:
         preset = given.get("preset", run_table.get("preset", "modern"))
         hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))

@@ -13,13 +13,15 @@ FORMS = [
     ((5, 16, 3), "mlp"),
     ((5, 16, 8, 24, 3), "residual"),
     ((5, 16, 3), "residual"),
+    ((5, 16, 8, 3), "trunk"),
+    ((5, 16, 8, 24, 3), "trunk"),
 ]
 
 
 def make(sizes: tuple[int, ...], network: Network, layer_norm: bool, members: int) -> Ensemble:
     """Weights none of which is at its first value."""
     generator = torch.Generator().manual_seed(3)
-    form = Form(sizes, network=network, layer_norm=layer_norm)
+    form = Form(sizes, network=network, layer_norm=layer_norm, late=2)
     flat = form.draw(members, generator)
     for view in form.views(flat):
         view += 0.2 * torch.randn(view.shape, generator=generator)
@@ -49,10 +51,16 @@ def test_outputs_and_gradients_are_those_of_autograd(
         for wanted, grad in zip(net.parameters(), grads.parameters(), strict=True):
             assert wanted.grad is not None
             torch.testing.assert_close(grad.data, wanted.grad, rtol=1e-4, atol=1e-5)
-    by_input = ensemble.by_input(ensemble.trace(x.detach())[1], weight, 0).sum(0)
-    torch.testing.assert_close(by_input, x.grad, rtol=1e-4, atol=1e-5)
-    part = ensemble.by_input(ensemble.trace(x.detach())[1], weight, 2).sum(0)
-    torch.testing.assert_close(part, x.grad[:, 2:], rtol=1e-4, atol=1e-5)
+    for start in (3,) if shape[1] == "trunk" else (0, 2, 3):
+        by_input = ensemble.by_input(ensemble.trace(x.detach())[1], weight, start).sum(0)
+        torch.testing.assert_close(by_input, x.grad[:, start:], rtol=1e-4, atol=1e-5)
+
+
+def test_a_trunk_has_no_gradient_by_what_it_sees() -> None:
+    ensemble = make((5, 16, 8, 3), "trunk", True, 1)
+    out, tape = ensemble.trace(torch.randn(7, 5))
+    with pytest.raises(ValueError, match="found 3 inputs"):
+        ensemble.by_input(tape, torch.ones_like(out), 2)
 
 
 def test_padding_between_parameters_stays_zero() -> None:
@@ -68,10 +76,11 @@ def test_padding_between_parameters_stays_zero() -> None:
     assert 0 < int((used == 0).sum()) < used.numel()
 
 
+@pytest.mark.parametrize("network", ["mlp", "trunk"])
 @pytest.mark.parametrize("precision", ["f32", "bf16"])
-def test_several_actions_score_as_one_by_one(precision: str) -> None:
-    """The observation's part of the first layer is computed once."""
-    exact = make((6, 16, 8, 2), "mlp", True, 3)
+def test_several_actions_score_as_one_by_one(precision: str, network: Network) -> None:
+    """The observation's part is computed once: of the first layer, or the whole trunk."""
+    exact = make((6, 16, 8, 2), network, True, 3)
     ensemble = Ensemble(exact.form, exact.value, precision=precision)  # type: ignore[arg-type]
     obs, action = torch.randn(9, 4), torch.randn(3, 9, 5, 2)
     found = score_many(ensemble.form, ensemble.weights, obs, action)

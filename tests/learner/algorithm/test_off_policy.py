@@ -55,6 +55,7 @@ def noise_of(algorithm: OffPolicy, seed: int) -> Noise:
         {"network": "residual"},
         {"network": "residual", "critic_sizes": "24,16,8", "layer_norm": False},
         {"critics": 5},
+        {"network": "trunk"},
     ],
     ids=str,
 )

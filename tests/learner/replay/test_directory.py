@@ -228,7 +228,7 @@ OTHER = Spaces(
         (lambda p: (p / "action-1.f32").unlink(), {}, RunDirectoryError, "No such file"),
         (lambda p: (p / "index-1.log").unlink(), {}, RunDirectoryError, "No such file"),
         (lambda p: (p / "replay.json").unlink(), {}, RunDirectoryError, "holds no replay"),
-        (lambda p: describe(p, format=2), {}, RunDirectoryError, "found format 2, expected 1"),
+        (lambda p: describe(p, format=3), {}, RunDirectoryError, "found format 3, expected 2"),
         (lambda p: describe(p, obs_size="x"), {}, RunDirectoryError, "replay.json is damaged"),
         (lambda p: describe(p, obs_size=3), {}, RunDirectoryError, "found 3200 bytes, expected"),
         (flip, {}, RunDirectoryError, "the checksum of record 1 does not match"),
