@@ -164,7 +164,7 @@ class Ensemble:
             inner, below = run(form.trunk, self.weights, shown)
             x = torch.cat([inner, late.to(inner.dtype)], dim=-1)
         out, above = run(form.layers, self.weights, x)
-        return out, Tape(below, above)
+        return out.to(self.value.dtype), Tape(below, above)
 
     def __call__(self, x: Tensor) -> Tensor:
         """The outputs of `trace`."""
@@ -229,7 +229,7 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     split = shown.shape[2]
     seen = torch.baddbmm(weights.product[form.first.bias], shown, weight[:, :split])
     acted = torch.bmm(action.to(kind).view(members, -1, size), weight[:, split:])
-    both = acted.view(members, rows, count, -1).to(obs.dtype)
-    both += seen.unsqueeze(2).to(obs.dtype)
+    both = acted.view(members, rows, count, -1)
+    both += seen.unsqueeze(2)
     out, _ = run(form.layers[1:], weights, both.view(members, rows * count, -1))
-    return out.view(members, rows, count, -1)
+    return out.view(members, rows, count, -1).to(obs.dtype)

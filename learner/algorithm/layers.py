@@ -1,8 +1,8 @@
 """The layers of a network that is evaluated by several members at once, forward and backward.
 
 Each layer knows where its parameters are in `Weights`, maps ``[E, N, in]`` to ``[E, N, out]`` and
-remembers what its gradient needs. Matrix products, and what goes straight into one, are in the
-precision of the weights that are given, everything between them in float32.
+remembers what its gradient needs. Everything is in the precision of the weights that are given;
+normalisation adds up in float32, and its gain and offset are float32.
 """
 
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ class Linear:
         """Multiply and add."""
         weight, bias = weights.product[self.weight], weights.product[self.bias]
         x = x.to(weight.dtype)
-        return torch.baddbmm(bias, x, weight).to(weights.full[self.bias].dtype), x
+        return torch.baddbmm(bias, x, weight), x
 
     def backward(
         self, weights: Weights, grads: Weights | None, seen: Tensor, grad: Tensor
@@ -91,7 +91,7 @@ class Relu:
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Tensor]:
         """Cut at 0."""
-        x = torch.relu(x).to(weights.product[0].dtype)
+        x = torch.relu(x)
         return x, x
 
     def backward(self, _: Weights, __: Weights | None, seen: Tensor, grad: Tensor) -> Tensor:
@@ -118,38 +118,35 @@ class Norm:
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Any]:
         """Normalise over the last dimension."""
-        out = torch.empty(x.shape, dtype=weights.product[0].dtype, device=x.device)
-        parts = (x.unbind(0), out.unbind(0), *self._vectors(weights))
-        tape = []
-        for rows, into, gain, offset in zip(*parts, strict=True):
+        made, tape = [], []
+        for rows, gain, offset in zip(x.unbind(0), *self._vectors(weights), strict=True):
             normal, mean, rstd = torch.native_layer_norm(
                 rows, gain.shape, gain, offset, LAYER_NORM_EPS
             )
-            into.copy_(normal.relu_() if self.relu else normal)
+            made.append(normal.relu_() if self.relu else normal)
             tape.append((rows, mean, rstd))
+        out = _together(made)
         return out, (out, tape)
 
     def backward(self, weights: Weights, grads: Weights | None, seen: Any, grad: Tensor) -> Tensor:
         """Go through the normalisation."""
         out, tape = seen
-        through = torch.empty_like(out)
         if self.relu:
             grad = _above_zero(grad, out)
-        grad = grad.to(tape[0][0].dtype)
         wanted = grads is not None
-        parts = (tape, grad.unbind(0), through.unbind(0), *self._vectors(weights))
-        found = []
-        for (rows, mean, rstd), by_out, into, gain, offset in zip(*parts, strict=True):
+        parts = (tape, grad.unbind(0), *self._vectors(weights))
+        through, found = [], []
+        for (rows, mean, rstd), by_out, gain, offset in zip(*parts, strict=True):
             by_input, by_gain, by_offset = _aten.native_layer_norm_backward(
                 by_out, rows, gain.shape, mean, rstd, gain, offset, [True, wanted, wanted]
             )
-            into.copy_(by_input)
+            through.append(by_input)
             found.append((by_gain, by_offset))
         if grads is not None:
             for each, gain, offset in zip(found, *self._vectors(grads), strict=True):
                 gain.copy_(each[0])
                 offset.copy_(each[1])
-        return through
+        return _together(through)
 
     def _vectors(self, weights: Weights) -> tuple[list[Tensor], list[Tensor]]:
         return weights.vectors[self.gain], weights.vectors[self.offset]
@@ -197,6 +194,11 @@ def run_back(
     for layer, seen in zip(reversed(layers), reversed(tape), strict=True):
         grad = layer.backward(weights, grads, seen, grad)
     return grad
+
+
+def _together(members: list[Tensor]) -> Tensor:
+    """Stack members; one alone is not copied."""
+    return torch.stack(members) if len(members) > 1 else members[0].unsqueeze(0)
 
 
 def _above_zero(grad: Tensor, out: Tensor) -> Tensor:
