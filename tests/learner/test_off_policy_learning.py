@@ -119,15 +119,18 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     assert run.hold_s() == 0.0
 
 
-def test_a_resumed_one_goes_on_to_the_bit(learning: Learn, tmp_path: Path) -> None:
-    """From a copy of its replay and its state."""
+@pytest.mark.parametrize("options", [{}, {"prioritised": True, "replay_rows": 35}], ids=str)
+def test_a_resumed_one_goes_on_to_the_bit(
+    learning: Learn, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    """From a copy of its replay and its state; also after rows were evicted."""
     place = tmp_path / "run"
-    run = learning()
+    run = learning(**options)
     play(run, 0, 8, place)
     tensors, scalars = run.state()
     shutil.copytree(place, tmp_path / "copy")
     play(run, 8, 4)
-    again = learning("copy")
+    again = learning("copy", **options)
     again.load(tensors, scalars)
     play(again, 8, 4)
     one, two = run.state(), again.state()
