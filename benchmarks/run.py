@@ -1,9 +1,9 @@
-"""Repeat the on-policy results: python benchmarks/on_policy/run.py SUITE --out runs/bench -j 2.
+"""Repeat the results: python benchmarks/run.py SUITE --out runs/bench -j 2.
 
 Every run is `a2s train` with fixed seeds, one actor process and one thread, so that several fit on
 a machine. A run that has finished is not run again; one that was interrupted is resumed. What is
-left behind beside this file: one row a run in results.csv, the episodes of every run, and a table
-and the curves of the suite.
+left behind in the folder of the suite: one row a run in results.csv, the episodes of every run, and
+a table and the curves of the suite.
 """
 
 import argparse
@@ -13,55 +13,18 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
+from suites import REFERENCE, SUITES
 from table import tables
 
 HERE = Path(__file__).parent
 MODES = ("mean", "best-of-k")
-PENDULUM = "InvertedPendulum-v5"
-MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
 COLUMNS = (
     "suite", "env", "label", "seed", "env_steps", "commit", "options", "mean", "mean_std",
     "best_of_k", "best_of_k_std", "first_1000", "return_last_tenth", "return_best", "recoveries",
     "wall_s",
 )  # fmt: skip
-
-LABELS: dict[str, tuple[str, ...]] = {
-    "modern": (),
-    "a2c": ("--algo", "a2c"),
-    "authors": ("--preset", "authors", "--envs", "1"),
-    "authors-a2c": ("--preset", "authors", "--algo", "a2c", "--envs", "1"),
-    "k1": ("--suggestions", "1"),
-    "k4": ("--suggestions", "4"),
-    "hard": ("--set", "selection=hard"),
-    "eq6": ("--set", "distil=joint"),
-    "temperature-1": ("--set", "temperature=1"),
-    "no-recovery": ("--set", "recovery=off"),
-}
-
-
-@dataclass(frozen=True)
-class Suite:
-    """Environments, labels, seeds and steps of one table."""
-
-    envs: tuple[str, ...]
-    labels: tuple[str, ...]
-    seeds: tuple[int, ...]
-    steps: int
-
-
-SUITES = {
-    "figure-2": Suite((PENDULUM,), ("modern", "no-recovery", "a2c"), (0, 1, 2, 3, 4), 20_000),
-    "million": Suite(MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000),
-    "ablation": Suite(
-        ("Hopper-v5", "HalfCheetah-v5"),
-        ("modern", "k1", "k4", "hard", "temperature-1", "eq6", "no-recovery"),
-        (0, 1, 2),
-        300_000,
-    ),
-}
 
 
 def place(suite: str, env: str, label: str, seed: int, out: Path) -> Path:
@@ -71,15 +34,10 @@ def place(suite: str, env: str, label: str, seed: int, out: Path) -> Path:
 
 def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str, object]:
     """Train and evaluate one seed, unless that was done before."""
-    steps = SUITES[suite].steps
     path = place(suite, env, label, seed, out)
-    options = (
-        "--env", env, "--total-steps", str(steps), "--seed", str(seed), "--n", "1", *LABELS[label],
-    )  # fmt: skip
-    if env == PENDULUM:
-        options += ("--keep-policy-every", "1")
-    if "--envs" not in options:
-        options += ("--envs", "16")
+    if label == REFERENCE:
+        return _reference(suite, env, seed, path)
+    options = SUITES[suite].options(env, label, seed)
     summary_file = path / "summary.json"
     done = summary_file.exists() and json.loads(summary_file.read_text())["finished"]
     commit = _commit(path)
@@ -108,6 +66,25 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         "return_best": round(summary["return_best"], 1),
         "recoveries": summary["recoveries"],
         "wall_s": round(summary["wall_s"]),
+    }
+
+
+def _reference(suite: str, env: str, seed: int, path: Path) -> dict[str, object]:
+    """The same of Stable-Baselines3's SAC, which writes the same files."""
+    commit, steps = _commit(path), SUITES[suite].steps
+    options = ("--env", env, "--total-steps", str(steps), "--seed", str(seed))
+    if not (path / "summary.json").exists():
+        script = [sys.executable, str(HERE / "sb3_sac.py"), *options, "--run-dir", str(path)]
+        subprocess.run(script, check=True, stdout=sys.stderr)
+    return {
+        "suite": suite,
+        "env": env,
+        "label": REFERENCE,
+        "seed": seed,
+        "commit": commit,
+        "options": " ".join(options),
+        "return_last_tenth": _last_tenth(path, suite, steps),
+        **json.loads((path / "summary.json").read_text()),
     }
 
 
@@ -142,7 +119,7 @@ def _commit(path: Path) -> str:
 def _last_tenth(path: Path, suite: str, env_steps: int) -> float | None:
     """Average the training returns of the last tenth of a run, and keep all its episodes."""
     text = (path / "episodes.csv").read_text()
-    kept = HERE / "episodes" / suite / f"{path.name}.csv.gz"
+    kept = HERE / SUITES[suite].folder / "episodes" / suite / f"{path.name}.csv.gz"
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_bytes(gzip.compress(text.encode(), mtime=0))
     rows = list(csv.DictReader(text.splitlines()))
@@ -166,15 +143,16 @@ def main() -> None:
         for env in arguments.envs or suite.envs
         for label in arguments.labels or suite.labels
     ]
-    table = HERE / "results.csv"
+    folder = HERE / suite.folder
+    table = folder / "results.csv"
     with ThreadPoolExecutor(arguments.j) as pool:
         for row in pool.map(lambda job: run_one(*job), jobs):
             _keep(table, row)
             sys.stdout.write(f"{row['env']} {row['label']} {row['seed']}: {row['mean']}\n")
             sys.stdout.flush()
-    (HERE / f"{arguments.suite}.md").write_text(tables(arguments.suite, list(suite.labels)))
-    runs = [str(place(*job)) for job in jobs]
-    _a2s("plot", *runs, "--output", str(HERE / f"{arguments.suite}.png"))
+    (folder / f"{arguments.suite}.md").write_text(tables(table, arguments.suite, suite.labels))
+    runs = [str(place(*job)) for job in jobs if job[2] != REFERENCE]
+    _a2s("plot", *runs, "--output", str(folder / f"{arguments.suite}.png"))
 
 
 def _keep(table: Path, row: dict[str, object]) -> None:
@@ -186,7 +164,7 @@ def _keep(table: Path, row: dict[str, object]) -> None:
     rows = [r for r in rows if any(str(r[k]) != str(row[k]) for k in key)] + [row]
     rows.sort(key=lambda r: [str(r[k]) for k in key])
     with table.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 

@@ -1,14 +1,12 @@
-"""Tables of a suite in Markdown, from results.csv: python benchmarks/on_policy/table.py SUITE."""
+"""Tables of a suite in Markdown, from a results.csv."""
 
-import argparse
 import csv
-import sys
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 
 from scores import interval
 
-HERE = Path(__file__).parent
 COLUMNS = {
     "mean": "mean action",
     "best_of_k": "best of K",
@@ -22,9 +20,15 @@ UNIT = {"Hopper-v5": 2900.0, "Walker2d-v5": 3800.0, "HalfCheetah-v5": 6000.0}
 Rows = list[dict[str, str]]
 
 
-def tables(suite: str, labels: list[str]) -> str:
-    """Write every seed of every environment, then the aggregates over seeds."""
-    with (HERE / "results.csv").open(newline="") as file:
+def tables(results: Path, suite: str, labels: Sequence[str]) -> str:
+    """Write every seed of every environment, then the aggregates over seeds.
+
+    Args:
+        results: The file.
+        suite: Whose rows.
+        labels: In this order.
+    """
+    with results.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["suite"] == suite]
     by_env: dict[str, dict[str, Rows]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
@@ -35,7 +39,7 @@ def tables(suite: str, labels: list[str]) -> str:
     return "\n".join(parts)
 
 
-def _environment(env: str, groups: dict[str, Rows], labels: list[str]) -> str:
+def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str]) -> str:
     lines = [f"### {env}", "", _row("", *COLUMNS.values(), "mean action of the seeds")]
     lines.append(_row(*["---"] * (len(COLUMNS) + 2)))
     for label in labels:
@@ -47,7 +51,7 @@ def _environment(env: str, groups: dict[str, Rows], labels: list[str]) -> str:
     return "\n".join([*lines, ""])
 
 
-def _together(by_env: dict[str, dict[str, Rows]], labels: list[str]) -> str:
+def _together(by_env: dict[str, dict[str, Rows]], labels: Sequence[str]) -> str:
     """Over all environments, each in units of its published figure."""
     lines = [f"### All of {', '.join(by_env)}", "", _row("", "mean action"), _row("---", "---")]
     for label in labels:
@@ -67,16 +71,3 @@ def _interval(values: list[float]) -> str:
 
 def _row(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("suite")
-    parser.add_argument("labels", nargs="*")
-    arguments = parser.parse_args()
-    sys.stdout.write(tables(arguments.suite, arguments.labels))
-
-
-if __name__ == "__main__":
-    main()

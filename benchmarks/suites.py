@@ -1,0 +1,104 @@
+"""What is run: suites of environments, labels, seeds and steps. Seeds were fixed before any run."""
+
+from dataclasses import dataclass
+
+PENDULUM = "InvertedPendulum-v5"
+MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
+REFERENCE = "sb3-sac"
+
+_OFF = ("--variant", "off-policy", "--set", "precision=bf16")
+_SAC = (*_OFF, "--preset", "sac")
+
+
+def _k(act: int, target: int) -> tuple[str, ...]:
+    return (*_SAC, "--set", f"act_suggestions={act}", "--set", f"target_suggestions={target}")
+
+
+LABELS: dict[str, tuple[str, ...]] = {
+    "modern": (),
+    "a2c": ("--algo", "a2c"),
+    "authors": ("--preset", "authors"),
+    "authors-a2c": ("--preset", "authors", "--algo", "a2c"),
+    "k1": ("--suggestions", "1"),
+    "k4": ("--suggestions", "4"),
+    "hard": ("--set", "selection=hard"),
+    "eq6": ("--set", "distil=joint"),
+    "temperature-1": ("--set", "temperature=1"),
+    "no-recovery": ("--set", "recovery=off"),
+    "off-policy": _OFF,
+    "sac": _SAC,
+    **{
+        f"act-{act}-target-{target}": _k(act, target) for act in (1, 4, 10) for target in (1, 4, 10)
+    },
+    "no-obs-norm": (*_OFF, "--set", "normalise_obs=false"),
+    "no-layer-norm": (*_OFF, "--set", "layer_norm=false"),
+}
+# What the authors had: one environment.
+_ONE_ENV = ("authors", "authors-a2c")
+
+
+@dataclass(frozen=True)
+class Suite:
+    """One table and one picture.
+
+    Attributes:
+        folder: Where results are kept beside this file.
+        envs: Environments.
+        labels: Of `LABELS`, or `REFERENCE`: Stable-Baselines3's SAC with its defaults.
+        seeds: Of every label.
+        steps: Of every run.
+        num_envs: Environments of the actor process.
+    """
+
+    folder: str
+    envs: tuple[str, ...]
+    labels: tuple[str, ...]
+    seeds: tuple[int, ...]
+    steps: int
+    num_envs: int
+
+    def options(self, env: str, label: str, seed: int) -> tuple[str, ...]:
+        """Of the run."""
+        num_envs = 1 if label in _ONE_ENV else self.num_envs
+        kept = ("--keep-policy-every", "1") if env == PENDULUM else ()
+        return (
+            "--env", env, "--total-steps", str(self.steps), "--seed", str(seed), "--n", "1",
+            "--envs", str(num_envs), *LABELS[label], *kept,
+        )  # fmt: skip
+
+
+_ABLATED = ("Hopper-v5", "HalfCheetah-v5")
+
+SUITES = {
+    "figure-2": Suite(
+        "on_policy", (PENDULUM,), ("modern", "no-recovery", "a2c"), (0, 1, 2, 3, 4), 20_000, 16
+    ),
+    "million": Suite(
+        "on_policy", MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000, 16
+    ),
+    "ablation": Suite(
+        "on_policy",
+        _ABLATED,
+        ("modern", "k1", "k4", "hard", "temperature-1", "eq6", "no-recovery"),
+        (0, 1, 2),
+        300_000,
+        16,
+    ),
+    "100k": Suite(
+        "off_policy", (*MUJOCO, "Ant-v5"), ("off-policy", "sac", REFERENCE), (0, 1, 2), 100_000, 1
+    ),
+    "300k": Suite("off_policy", _ABLATED, ("off-policy", "sac"), (0, 1, 2), 300_000, 1),
+    "best-of-k": Suite(
+        "off_policy",
+        _ABLATED,
+        (
+            *(f"act-{act}-target-{target}" for act in (1, 4, 10) for target in (1, 4, 10)),
+            "off-policy",
+            "no-obs-norm",
+            "no-layer-norm",
+        ),
+        (0, 1),
+        50_000,
+        1,
+    ),
+}
