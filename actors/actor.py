@@ -14,8 +14,9 @@ from a2s.actors.spool import Spool
 from a2s.actors.suggester import Suggester
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import RefusedError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Spaces, Welcome
+from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Welcome
 from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)

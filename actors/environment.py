@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from a2s.protocol.errors import UsageError
-from a2s.protocol.messages import Array, Spaces
+from a2s.protocol.fields import Array, Spaces
 
 logger = logging.getLogger(__name__)
 

@@ -9,7 +9,8 @@ from a2s.actors.environment import Environment
 from a2s.actors.metrics import Tally
 from a2s.actors.suggester import Choice, Suggester
 from a2s.protocol.errors import A2SError, MalformedMessageError
-from a2s.protocol.messages import Array, Notice, Segment
+from a2s.protocol.fields import Array
+from a2s.protocol.messages import Notice, Segment
 
 _MALFORMED_IN_A_ROW = 10
 

@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime
 
 from a2s.protocol.errors import MalformedMessageError, UsageError
-from a2s.protocol.messages import Array, Spaces
+from a2s.protocol.fields import Array, Spaces
 
 Mode = Literal["behaviour", "mean", "best-of-k"]
 _TINY = np.float32(1e-20)

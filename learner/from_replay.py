@@ -24,7 +24,7 @@ from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.protocol.errors import A2SError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 logger = logging.getLogger(__name__)
 

@@ -13,6 +13,7 @@ from a2s.learner.ledger import Accounts, Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.roster import Member, Roster
 from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,
@@ -21,7 +22,6 @@ from a2s.protocol.messages import (
     Notice,
     Refusal,
     Segment,
-    Spaces,
     Verdict,
     Welcome,
 )

@@ -25,8 +25,9 @@ from a2s.learner.service import Service
 from a2s.learner.variants import make_learning
 from a2s.learner.weights import Publisher
 from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import RecoveryEvent, Segment, Spaces
+from a2s.protocol.messages import RecoveryEvent, Segment
 from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)

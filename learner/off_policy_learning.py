@@ -22,8 +22,9 @@ from a2s.learner.replay.limiter import Limiter
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.errors import A2SError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
 
 _HOLD_S = (0.02, 2.0)

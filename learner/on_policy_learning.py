@@ -15,8 +15,9 @@ from a2s.learner.batching import to_batch
 from a2s.learner.export import export
 from a2s.learner.learning import Outcome, Quota
 from a2s.learner.metrics import LearnerMetrics
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
 
 _TESTED = ("draw", "probability", "r", "r_best")

@@ -9,7 +9,7 @@ from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_learning import OffPolicyLearning
 from a2s.learner.on_policy_learning import OnPolicyLearning
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 
 def make_learning(

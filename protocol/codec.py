@@ -16,13 +16,12 @@ from typing import Any, TypeVar
 import msgpack
 import numpy as np
 
-from a2s.protocol import messages
+from a2s.protocol import messages, replay_messages
 from a2s.protocol.errors import (
     MalformedMessageError,
     OversizeMessageError,
     SchemaMismatchError,
 )
-from a2s.protocol.messages import Message
 
 SCHEMA_VERSION = 1
 MIB = 1 << 20
@@ -37,14 +36,29 @@ MAX_BYTES: dict[type, int] = {
     messages.RecoveryEvent: MIB,
     messages.ActorStatus: MIB,
     messages.RunStatus: 16 * MIB,
-    messages.ReplayInfo: MIB,
-    messages.ReplayRequest: MIB,
-    messages.ReplaySample: 16 * MIB,
+    replay_messages.ReplayInfo: MIB,
+    replay_messages.ReplayRequest: MIB,
+    replay_messages.ReplaySample: 16 * MIB,
 }
 _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 _DTYPE = np.dtype("<f4")
 _MAX_CONTAINERS = 1 << 16
 
+Message = (
+    messages.Hello
+    | messages.Welcome
+    | messages.Refusal
+    | messages.Segment
+    | messages.Ack
+    | messages.Notice
+    | messages.Weights
+    | messages.RecoveryEvent
+    | messages.ActorStatus
+    | messages.RunStatus
+    | replay_messages.ReplayInfo
+    | replay_messages.ReplayRequest
+    | replay_messages.ReplaySample
+)
 M = TypeVar("M", bound=Message)
 
 

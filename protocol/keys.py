@@ -17,7 +17,7 @@
 from dataclasses import dataclass
 
 from a2s.protocol.errors import UsageError
-from a2s.protocol.messages import is_name
+from a2s.protocol.fields import is_name
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 

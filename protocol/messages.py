@@ -9,84 +9,13 @@ The letters in the shapes are used throughout a2s::
 """
 
 import math
-import re
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
+from a2s.protocol.fields import Array, Spaces, is_name, require, require_finite
 
-from a2s.protocol.errors import MalformedMessageError
-
-Array = npt.NDArray[np.float32]
 Clock = Literal["lockstep", "async"]
 Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
-Column = Literal["obs", "action", "reward", "next_obs", "discount", "weight", "row"]
-COLUMNS: tuple[Column, ...] = get_args(Column)
-MOST_SAMPLED = 4096
-MOST_STEPS = 64
-
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
-
-
-def is_name(text: str) -> bool:
-    """Tell whether a run or actor name can be part of a key: letters, digits, ``_ . -``."""
-    return _NAME.fullmatch(text) is not None
-
-
-def _require(condition: bool, subject: str, found: object, expected: str) -> None:
-    if not condition:
-        raise MalformedMessageError(f"{subject}: found {found!s:.100}, expected {expected}")
-
-
-def _require_finite(subject: str, **arrays: Array) -> None:
-    for name, array in arrays.items():
-        bad = int(array.size - np.isfinite(array).sum())
-        _require(bad == 0, f"{subject}: {name}", f"{bad} non-finite values", "finite numbers")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Spaces:
-    """The flat Box spaces of an environment.
-
-    Attributes:
-        obs_size: D.
-        action_low: Lowest action, in the environment's units, float32 ``[A]``.
-        action_high: Highest action, float32 ``[A]``.
-
-    Raises:
-        MalformedMessageError: No dimensions, or bounds that are not finite and ordered.
-    """
-
-    obs_size: int
-    action_low: Array
-    action_high: Array
-
-    def __post_init__(self) -> None:
-        """Check the sizes and the order of the bounds."""
-        low, high = self.action_low, self.action_high
-        _require(self.obs_size > 0, "spaces: obs_size", self.obs_size, "at least 1")
-        _require(low.ndim == 1 and low.size > 0, "spaces: action_low", low.shape, "shape [A]")
-        _require(low.shape == high.shape, "spaces: action_high", high.shape, f"{low.shape}")
-        _require_finite("spaces", action_low=low, action_high=high)
-        _require(bool((low < high).all()), "spaces", "low >= high", "low below high everywhere")
-
-    @property
-    def action_size(self) -> int:
-        """A."""
-        return int(self.action_low.size)
-
-    def differs_from(self, other: "Spaces") -> str:
-        """Describe the first difference to another environment's spaces, or return ``""``."""
-        if self.obs_size != other.obs_size:
-            return f"obs_size {other.obs_size}, expected {self.obs_size}"
-        if self.action_size != other.action_size:
-            return f"action_size {other.action_size}, expected {self.action_size}"
-        for name in ("action_low", "action_high"):
-            mine, theirs = getattr(self, name), getattr(other, name)
-            if not np.array_equal(mine, theirs):
-                return f"{name} {theirs.tolist()}, expected {mine.tolist()}"
-        return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,11 +36,11 @@ class Hello:
 
     def __post_init__(self) -> None:
         """Check the name and that a joining actor says everything."""
-        _require(is_name(self.actor), "hello: actor", repr(self.actor), "letters, digits, _ . -")
+        require(is_name(self.actor), "hello: actor", repr(self.actor), "letters, digits, _ . -")
         joins = self.spaces is not None
-        _require(joins == bool(self.env_id), "hello: env_id", repr(self.env_id), "both or neither")
+        require(joins == bool(self.env_id), "hello: env_id", repr(self.env_id), "both or neither")
         low, high = (1, 4096) if joins else (0, 0)
-        _require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
+        require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,10 +124,10 @@ class Segment:
     def __post_init__(self) -> None:
         """Check the shapes against each other and every number for being finite."""
         subject = f"segment {self.actor}/{self.seq}"
-        _require(is_name(self.actor), "segment: actor", repr(self.actor), "letters, digits, _ . -")
-        _require(self.obs.ndim == 2 and self.obs.size > 0, subject, self.obs.shape, "obs [T, D]")
+        require(is_name(self.actor), "segment: actor", repr(self.actor), "letters, digits, _ . -")
+        require(self.obs.ndim == 2 and self.obs.size > 0, subject, self.obs.shape, "obs [T, D]")
         steps, obs_size = self.obs.shape
-        _require(self.suggestion.ndim == 2, subject, self.suggestion.shape, "suggestion [T, A]")
+        require(self.suggestion.ndim == 2, subject, self.suggestion.shape, "suggestion [T, A]")
         lengths = {
             "obs": steps,
             "suggestion": len(self.suggestion),
@@ -207,16 +136,14 @@ class Segment:
         }
         agree = self.log_prob.shape == self.reward.shape == (steps,)
         agree = agree and len(self.suggestion) == steps
-        _require(agree, f"{subject}: arrays disagree about T", lengths, "one length")
-        _require(
-            self.final_obs.shape == (obs_size,), subject, self.final_obs.shape, "final_obs [D]"
-        )
-        _require(not (self.terminated and self.truncated), subject, "both ends", "one of them")
+        require(agree, f"{subject}: arrays disagree about T", lengths, "one length")
+        require(self.final_obs.shape == (obs_size,), subject, self.final_obs.shape, "final_obs [D]")
+        require(not (self.terminated and self.truncated), subject, "both ends", "one of them")
         for name in ("seq", "generation", "epoch", "weights_version", "env"):
-            _require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
-        _require(self.episode_length >= steps, subject, self.episode_length, "episode_length >= T")
-        _require(math.isfinite(self.episode_return), subject, self.episode_return, "finite return")
-        _require_finite(
+            require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
+        require(self.episode_length >= steps, subject, self.episode_length, "episode_length >= T")
+        require(math.isfinite(self.episode_return), subject, self.episode_return, "finite return")
+        require_finite(
             subject,
             obs=self.obs,
             suggestion=self.suggestion,
@@ -261,7 +188,7 @@ class Ack:
 
     def __post_init__(self) -> None:
         """Check the wait."""
-        _require(0 <= self.wait_s < math.inf, "ack: wait_s", self.wait_s, "0 or more seconds")
+        require(0 <= self.wait_s < math.inf, "ack: wait_s", self.wait_s, "0 or more seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -290,7 +217,7 @@ class Notice:
 
     def __post_init__(self) -> None:
         """Check that the quota asks for something."""
-        _require(self.quota_steps >= 1, "notice: quota_steps", self.quota_steps, "at least 1")
+        require(self.quota_steps >= 1, "notice: quota_steps", self.quota_steps, "at least 1")
 
     @property
     def identity(self) -> tuple[int, int]:
@@ -379,129 +306,3 @@ class RunStatus:
     env_steps_per_s: float
     waiting_for: str
     actors: tuple[ActorStatus, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReplayInfo:
-    """What a served replay holds now.
-
-    Attributes:
-        run: Name of the run.
-        generation: Which start of the learner serves it.
-        env_id: Environment of the transitions.
-        spaces: Its spaces.
-        capacity: Transitions that it holds at most.
-        begin: Number of the oldest row that can be sampled.
-        end: Rows ever inserted, and so the number of the next.
-    """
-
-    run: str
-    generation: int
-    env_id: str
-    spaces: Spaces
-    capacity: int
-    begin: int
-    end: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReplayRequest:
-    """Somebody asks for a batch of transitions.
-
-    Attributes:
-        batch_size: B, 1 to 4096.
-        seed: Of the draw: while nothing is inserted and no priority changes, the same request is
-            answered by the same batch.
-        n_step: Steps that a transition goes over at most, 1 to 64.
-        gamma: Discount of one step, 0 to 1.
-        prioritised: Draw in proportion to the priorities, else uniformly.
-        beta: How far importance weights make up for that, 0 to 1.
-        fields: What is wanted of each transition, at least one.
-
-    Raises:
-        MalformedMessageError: A number is out of its range, or a field comes twice.
-    """
-
-    batch_size: int
-    seed: int
-    n_step: int
-    gamma: float
-    prioritised: bool
-    beta: float
-    fields: tuple[Column, ...]
-
-    def __post_init__(self) -> None:
-        """Check that the work is bounded."""
-        subject = "replay request"
-        size, steps, names = self.batch_size, self.n_step, self.fields
-        _require(1 <= size <= MOST_SAMPLED, f"{subject}: batch_size", size, f"1..{MOST_SAMPLED}")
-        _require(0 <= self.seed < 1 << 63, f"{subject}: seed", self.seed, "0 to 2^63 - 1")
-        _require(1 <= steps <= MOST_STEPS, f"{subject}: n_step", steps, f"1..{MOST_STEPS}")
-        _require(0.0 <= self.gamma <= 1.0, f"{subject}: gamma", self.gamma, "0 to 1")
-        _require(0.0 <= self.beta <= 1.0, f"{subject}: beta", self.beta, "0 to 1")
-        once = len(names) == len(set(names)) > 0
-        _require(once, f"{subject}: fields", names, "at least one, none twice")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReplaySample:
-    """A batch of transitions; what was not asked for is missing.
-
-    The target of a value at ``(obs, action)`` is ``reward + discount * value(next_obs)``.
-
-    Attributes:
-        begin: Number of the oldest row when it was drawn.
-        end: Number of the row that was to come next.
-        obs: Observation before the first step, float32 ``[B, D]``.
-        action: The first step's executed suggestion, canonical, not clipped, float32 ``[B, A]``.
-        reward: Discounted sum of the rewards of the steps, float32 ``[B]``.
-        next_obs: Observation after the last step, float32 ``[B, D]``.
-        discount: gamma to the number of steps; 0 where the last one terminated, float32 ``[B]``.
-        weight: Importance weight, the highest is 1, float32 ``[B]``.
-        row: Number of the first step's row, B of them, or none.
-
-    Raises:
-        MalformedMessageError: The columns disagree about B, or a number is not finite.
-    """
-
-    begin: int
-    end: int
-    obs: Array | None
-    action: Array | None
-    reward: Array | None
-    next_obs: Array | None
-    discount: Array | None
-    weight: Array | None
-    row: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        """Check the columns against each other."""
-        arrays: dict[str, Array] = {
-            name: array for name in COLUMNS[:-1] if (array := getattr(self, name)) is not None
-        }
-        lengths = {name: len(array) for name, array in arrays.items()}
-        if self.row:
-            lengths["row"] = len(self.row)
-        agree = len(set(lengths.values())) == 1
-        _require(agree, "replay sample: columns disagree about B", lengths, "one length")
-        for name, array in arrays.items():
-            rank = 2 if name in ("obs", "action", "next_obs") else 1
-            _require(array.ndim == rank, f"replay sample: {name}", array.shape, f"rank {rank}")
-        _require_finite("replay sample", **arrays)
-
-
-Message = (
-    Hello
-    | Welcome
-    | Refusal
-    | Segment
-    | Ack
-    | Notice
-    | Weights
-    | RecoveryEvent
-    | ActorStatus
-    | RunStatus
-    | ReplayInfo
-    | ReplayRequest
-    | ReplaySample
-)

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 import xxhash
 
-from a2s.protocol.messages import Array, Spaces
+from a2s.protocol.fields import Array, Spaces
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from a2s.learner.run_directory import write_atomically
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 NAME = "replay.json"
 _FORMAT = 2

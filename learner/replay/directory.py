@@ -17,7 +17,7 @@ from a2s.learner.replay.resize import copy_newest
 from a2s.learner.replay.ring import Ring
 from a2s.learner.replay.store import Store, lock
 from a2s.protocol.errors import RunDirectoryError, UsageError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 
 def find(path: Path) -> Path:

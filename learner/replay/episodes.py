@@ -11,7 +11,7 @@ from a2s.learner.replay.columns import Columns
 from a2s.learner.replay.record import STARTS, TERMINATED, TRUNCATED, Record
 from a2s.learner.replay.ring import Ring
 from a2s.learner.replay.store import Store
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

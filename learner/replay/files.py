@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 _ITEM_BYTES = 4
 

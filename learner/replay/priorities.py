@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from a2s.learner.replay.transitions import Floats, Rows
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 if TYPE_CHECKING:
     from a2s.learner.replay.sum_tree import SumTree

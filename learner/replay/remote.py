@@ -5,19 +5,12 @@ from typing import TypeVar
 import numpy as np
 
 from a2s.learner.replay.transitions import Transitions
-from a2s.protocol.codec import decode, encode
+from a2s.protocol.codec import Message, decode, encode
 from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
+from a2s.protocol.fields import Array
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import (
-    COLUMNS,
-    Array,
-    Column,
-    Message,
-    Refusal,
-    ReplayInfo,
-    ReplayRequest,
-    ReplaySample,
-)
+from a2s.protocol.messages import Refusal
+from a2s.protocol.replay_messages import COLUMNS, Column, ReplayInfo, ReplayRequest, ReplaySample
 from a2s.protocol.transport import Bus
 
 _PATIENCE_S = 10.0

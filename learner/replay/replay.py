@@ -14,7 +14,8 @@ from a2s.learner.replay.ring import Ring, num_slots
 from a2s.learner.replay.store import Store
 from a2s.learner.replay.transitions import Floats, Rows, Transitions
 from a2s.protocol.errors import MalformedMessageError, UsageError
-from a2s.protocol.messages import Array, Segment, Spaces
+from a2s.protocol.fields import Array, Spaces
+from a2s.protocol.messages import Segment
 
 
 class Replay:

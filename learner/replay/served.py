@@ -10,7 +10,8 @@ from a2s.learner.replay.replay import Replay
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import A2SError
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import COLUMNS, Refusal, ReplayInfo, ReplayRequest, ReplaySample
+from a2s.protocol.messages import Refusal
+from a2s.protocol.replay_messages import COLUMNS, ReplayInfo, ReplayRequest, ReplaySample
 from a2s.protocol.transport import Bus
 
 _SHARE = 0.25

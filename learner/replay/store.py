@@ -18,7 +18,7 @@ from a2s.learner.replay.record import Record
 from a2s.learner.replay.records import Records
 from a2s.learner.replay.ring import Ring, num_slots
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 
 class Store:

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from a2s.learner.replay.transitions import Floats, Rows
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 _FAN_OUT = 16
 

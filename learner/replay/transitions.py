@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from a2s.protocol.messages import Array
+from a2s.protocol.fields import Array
 
 Rows = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

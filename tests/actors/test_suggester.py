@@ -7,7 +7,7 @@ import pytest
 
 from a2s.actors.suggester import Suggester
 from a2s.protocol.errors import MalformedMessageError, UsageError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 MakeGraph = Callable[..., bytes]
 

@@ -12,7 +12,8 @@ from a2s.learner.gather import Gather, Terms
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Spaces, Welcome
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 
 SPACES = Spaces(
     obs_size=2,

@@ -14,7 +14,8 @@ from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_learning import OffPolicyLearning
 from a2s.learner.off_policy_presets import off_policy
 from a2s.protocol.errors import RunDirectoryError, UsageError
-from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import Segment
 
 SPACES = Spaces(obs_size=3, action_low=-np.ones(2, np.float32), action_high=np.ones(2, np.float32))
 SMALL: dict[str, Any] = {

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from a2s.protocol.messages import Segment, Spaces
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import Segment
 
 ENV_ID = "a2s_test_envs:Count-v0"
 SPACES = Spaces(

@@ -11,31 +11,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from a2s.protocol.codec import MAX_BYTES, MIB, SCHEMA_VERSION, decode, encode
+from a2s.protocol.codec import MAX_BYTES, MIB, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.errors import (
     MalformedMessageError,
     OversizeMessageError,
     SchemaMismatchError,
 )
+from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import (
-    COLUMNS,
     Ack,
     ActorStatus,
-    Array,
     Hello,
-    Message,
     Notice,
     RecoveryEvent,
     Refusal,
-    ReplayInfo,
-    ReplayRequest,
-    ReplaySample,
     RunStatus,
     Segment,
-    Spaces,
     Weights,
     Welcome,
 )
+from a2s.protocol.replay_messages import COLUMNS, ReplayInfo, ReplayRequest, ReplaySample
 
 KINDS = get_args(Message)
 

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, decode, encode
+from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.messages import Ack, Message, Segment, Spaces, Verdict
+from a2s.protocol.messages import Ack, Segment, Verdict
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
 DESCRIBED = (Spaces, *typing.get_args(Message))

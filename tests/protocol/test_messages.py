@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from a2s.protocol.errors import MalformedMessageError
-from a2s.protocol.messages import Ack, Array, Hello, Notice, Segment, Spaces, is_name
+from a2s.protocol.fields import Array, Spaces, is_name
+from a2s.protocol.messages import Ack, Hello, Notice, Segment
 
 
 def zeros(*shape: int) -> Array:

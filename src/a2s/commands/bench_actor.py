@@ -13,7 +13,8 @@ from a2s.commands.bench import Contender, Contest
 from a2s.learner.algorithm.on_policy import OnPolicy
 from a2s.learner.export import export
 from a2s.learner.presets import on_policy
-from a2s.protocol.messages import Notice, Spaces
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import Notice
 
 ENV_IDS = ("Hopper-v5", "HalfCheetah-v5")
 ENVS, STEPS = 16, 32

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from a2s.protocol.messages import Array, Segment, Spaces
+from a2s.protocol.fields import Array, Spaces
+from a2s.protocol.messages import Segment
 
 OBS, ACTION, STEPS, BATCH = 17, 6, 1000, 256
 SPACES = Spaces(

@@ -19,8 +19,9 @@ from a2s.learner.replay import directory
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
+from a2s.protocol.fields import Array
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Array, Segment
+from a2s.protocol.messages import Segment
 from a2s.protocol.zenoh_bus import ZenohBus
 
 CAPACITY = 1 << 18

@@ -11,7 +11,8 @@ from a2s.commands.bench import Contender, Contest
 from a2s.commands.bench_data import make_segment
 from a2s.commands.serving import free_endpoint
 from a2s.protocol.codec import decode, encode
-from a2s.protocol.messages import Ack, Array, Segment
+from a2s.protocol.fields import Array
+from a2s.protocol.messages import Ack, Segment
 from a2s.protocol.zenoh_bus import ZenohBus
 
 _KEY = "bench/segment"

@@ -23,7 +23,7 @@ from a2s.learner.replay.description import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.messages import ReplayInfo
+from a2s.protocol.replay_messages import ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464

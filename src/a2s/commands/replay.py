@@ -11,7 +11,7 @@ from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.transitions import Transitions
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import COLUMNS
+from a2s.protocol.replay_messages import COLUMNS
 from a2s.protocol.zenoh_bus import ZenohBus
 
 

@@ -21,7 +21,7 @@ from a2s.learner.replay import directory
 from a2s.learner.replay.record import RECORD_BYTES
 from a2s.learner.replay.replay import Replay
 from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 FOREVER = 1_000_000
 

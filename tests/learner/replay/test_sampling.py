@@ -11,7 +11,7 @@ from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
 from a2s.learner.replay import directory
 from a2s.learner.replay.replay import Replay
 from a2s.protocol.errors import MalformedMessageError, UsageError
-from a2s.protocol.messages import Spaces
+from a2s.protocol.fields import Spaces
 
 PLAYED = st.lists(
     st.tuples(

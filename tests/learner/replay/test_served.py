@@ -16,9 +16,11 @@ from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import COLUMNS, Refusal, ReplayRequest, ReplaySample, Spaces
+from a2s.protocol.messages import Refusal
+from a2s.protocol.replay_messages import COLUMNS, ReplayRequest, ReplaySample
 from a2s.protocol.transport import Bus
 from a2s.protocol.zenoh_bus import ZenohBus
 

@@ -1,0 +1,83 @@
+"""What messages are made of: arrays, names, the spaces of an environment, and their checks."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from a2s.protocol.errors import MalformedMessageError
+
+Array = npt.NDArray[np.float32]
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
+
+
+def is_name(text: str) -> bool:
+    """Tell whether a run or actor name can be part of a key: letters, digits, ``_ . -``."""
+    return _NAME.fullmatch(text) is not None
+
+
+def require(condition: bool, subject: str, found: object, expected: str) -> None:
+    """Refuse what does not hold.
+
+    Raises:
+        MalformedMessageError: One line: subject, what was found, what was expected.
+    """
+    if not condition:
+        raise MalformedMessageError(f"{subject}: found {found!s:.100}, expected {expected}")
+
+
+def require_finite(subject: str, **arrays: Array) -> None:
+    """Refuse arrays with numbers that are none.
+
+    Raises:
+        MalformedMessageError: Which one, and how many.
+    """
+    for name, array in arrays.items():
+        bad = int(array.size - np.isfinite(array).sum())
+        require(bad == 0, f"{subject}: {name}", f"{bad} non-finite values", "finite numbers")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spaces:
+    """The flat Box spaces of an environment.
+
+    Attributes:
+        obs_size: D.
+        action_low: Lowest action, in the environment's units, float32 ``[A]``.
+        action_high: Highest action, float32 ``[A]``.
+
+    Raises:
+        MalformedMessageError: No dimensions, or bounds that are not finite and ordered.
+    """
+
+    obs_size: int
+    action_low: Array
+    action_high: Array
+
+    def __post_init__(self) -> None:
+        """Check the sizes and the order of the bounds."""
+        low, high = self.action_low, self.action_high
+        require(self.obs_size > 0, "spaces: obs_size", self.obs_size, "at least 1")
+        require(low.ndim == 1 and low.size > 0, "spaces: action_low", low.shape, "shape [A]")
+        require(low.shape == high.shape, "spaces: action_high", high.shape, f"{low.shape}")
+        require_finite("spaces", action_low=low, action_high=high)
+        require(bool((low < high).all()), "spaces", "low >= high", "low below high everywhere")
+
+    @property
+    def action_size(self) -> int:
+        """A."""
+        return int(self.action_low.size)
+
+    def differs_from(self, other: "Spaces") -> str:
+        """Describe the first difference to another environment's spaces, or return ``""``."""
+        if self.obs_size != other.obs_size:
+            return f"obs_size {other.obs_size}, expected {self.obs_size}"
+        if self.action_size != other.action_size:
+            return f"action_size {other.action_size}, expected {self.action_size}"
+        for name in ("action_low", "action_high"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if not np.array_equal(mine, theirs):
+                return f"{name} {theirs.tolist()}, expected {mine.tolist()}"
+        return ""
