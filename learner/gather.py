@@ -7,17 +7,15 @@ The handlers of the bus call in on their threads; the learner's loop waits in
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from a2s.learner.ledger import Accounts, Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.roster import Member, Roster
+from a2s.learner.terms import Terms
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,
-    Clock,
     Hello,
     Notice,
     Refusal,
@@ -28,37 +26,7 @@ from a2s.protocol.messages import (
 
 _WAIT_S = 0.5
 _SILENT_S = 30.0
-_HELD_BACK_BATCHES = 1
-_MOST_BATCHES = 4
 _PATIENCE = 10
-_HOLD_BACK_S = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
-    """What every actor is told, and what segments are held to.
-
-    Attributes:
-        run: Name of the run.
-        generation: Which start of the learner this is.
-        env_id: Environment.
-        spaces: Its spaces.
-        num_envs: Environments of an actor that was not told otherwise.
-        clock: ``lockstep`` or ``async``.
-        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
-        seed: Of the run.
-        num_actors: Actors that the first batch waits for.
-    """
-
-    run: str
-    generation: int
-    env_id: str
-    spaces: Spaces
-    num_envs: int
-    clock: Clock
-    max_policy_lag: int | None
-    seed: int
-    num_actors: int
 
 
 class Gather:
@@ -70,7 +38,7 @@ class Gather:
         metrics: Where they are counted.
         on_event: Told joins, leaves and refusals, with the lock held.
         keep: Stores an accepted segment before it is written down and acknowledged.
-        hold_s: Seconds that an actor should wait, as far as whoever learns is concerned.
+        hold_s: Seconds that an actor should wait while so many batches pend.
     """
 
     def __init__(
@@ -80,7 +48,7 @@ class Gather:
         metrics: LearnerMetrics,
         on_event: Callable[..., None],
         keep: Callable[[Segment], None],
-        hold_s: Callable[[], float],
+        hold_s: Callable[[float], float],
     ) -> None:
         self._terms = terms
         self._ledger = ledger
@@ -105,7 +73,7 @@ class Gather:
         terms = self._terms
         slot, seed = -1, 0
         if hello.spaces is not None:
-            difference = self._difference(hello)
+            difference = terms.difference(hello)
             if difference:
                 return self.refuse("hello", "environment", difference)
             with self._changed:
@@ -260,36 +228,13 @@ class Gather:
         generation = self._terms.generation
         if segment.generation != generation or member is None:
             return "stale", "", f"generation {segment.generation}, this is {generation}"
-        misfit = self._misfit(segment, member)
+        misfit = self._terms.misfit(segment, member.num_envs)
         if misfit:
             return "refused", "spaces", misfit
         if self._notice is None or segment.weights_version > self._notice.version:
             return "refused", "future", f"version {segment.weights_version} is not published"
-        too_old = self._too_old(segment, self._notice)
+        too_old = self._terms.too_old(segment, self._notice, self._pending_batches)
         return ("stale", "", too_old) if too_old else ("accepted", "", "")
-
-    def _misfit(self, segment: Segment, member: Member) -> str:
-        spaces = self._terms.spaces
-        found = (segment.obs.shape[1], segment.suggestion.shape[1])
-        expected = (spaces.obs_size, spaces.action_size)
-        if found != expected:
-            return f"found obs_size and action_size {found}, expected {expected}"
-        if segment.env >= member.num_envs:
-            return f"found env {segment.env}, expected less than {member.num_envs}"
-        return ""
-
-    def _too_old(self, segment: Segment, notice: Notice) -> str:
-        if segment.epoch != notice.epoch:
-            return f"epoch {segment.epoch}, this is {notice.epoch}"
-        lag, allowed = notice.version - segment.weights_version, self._terms.max_policy_lag
-        if allowed is None:
-            return ""
-        if lag > allowed:
-            return f"{lag} versions behind, at most {allowed}"
-        is_bounded = self._terms.clock == "lockstep"  # by the quota, however long its episodes
-        if not is_bounded and self._pending_steps >= _MOST_BATCHES * self._batch_steps:
-            return "more waits than can be learned from in time"
-        return ""
 
     def _accept(self, segment: Segment, member: Member) -> None:
         assert self._notice is not None
@@ -322,12 +267,12 @@ class Gather:
 
     def _wait_s(self) -> float:
         """How long an actor should wait: too much to learn from is there already."""
-        if self._terms.clock == "lockstep":
-            return 0.0
-        if self._terms.max_policy_lag is None:
-            return self._hold_s()
-        behind = self._pending_steps >= _HELD_BACK_BATCHES * self._batch_steps
-        return _HOLD_BACK_S if behind else 0.0
+        is_async = self._terms.clock == "async"
+        return self._hold_s(self._pending_batches) if is_async else 0.0
+
+    @property
+    def _pending_batches(self) -> float:
+        return self._pending_steps / self._batch_steps
 
     def _missing(self) -> str:
         """Say what a batch still waits for; empty when it is complete."""
@@ -361,10 +306,3 @@ class Gather:
             self._metrics.leaves.labels(reason=reason).inc()
             self._on_event("leave", actor=actor, slot=member.slot, reason=reason)
             self._changed.notify_all()
-
-    def _difference(self, hello: Hello) -> str:
-        assert hello.spaces is not None
-        if hello.env_id != self._terms.env_id:
-            return f"environment: found {hello.env_id}, expected {self._terms.env_id}"
-        difference = self._terms.spaces.differs_from(hello.spaces)
-        return f"environment {hello.env_id}: found {difference}" if difference else ""

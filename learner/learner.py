@@ -12,7 +12,7 @@ import torch
 
 from a2s.learner import checkpoint
 from a2s.learner.configuration import Configuration
-from a2s.learner.gather import Gather, Terms
+from a2s.learner.gather import Gather
 from a2s.learner.learning import Outcome
 from a2s.learner.ledger import Ledger
 from a2s.learner.memory import keep_freed_memory
@@ -22,6 +22,7 @@ from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Report, Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.learner.service import Service
+from a2s.learner.terms import Terms
 from a2s.learner.variants import make_learning
 from a2s.learner.weights import Publisher
 from a2s.protocol.errors import RunDirectoryError

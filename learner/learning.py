@@ -80,8 +80,12 @@ class Learning(Protocol):
         """
         ...
 
-    def hold_s(self) -> float:
-        """Seconds that actors should wait because learning is behind; asked in ``async``."""
+    def hold_s(self, pending_batches: float) -> float:
+        """Seconds that actors should wait because learning is behind; asked in ``async``.
+
+        Args:
+            pending_batches: Batches that wait to be learned from, in steps of the quota.
+        """
         ...
 
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:

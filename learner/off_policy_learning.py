@@ -107,8 +107,9 @@ class OffPolicyLearning:
         self._replay.insert(segment)
         self._limiter.count_insert(segment.num_steps)
 
-    def hold_s(self) -> float:
+    def hold_s(self, pending_batches: float) -> float:
         """Time that learning needs to be back within its band, at the pace of its last round."""
+        del pending_batches  # they are in the replay, whatever is played next
         if self._limiter.may_insert():
             return 0.0
         behind_s = self._limiter.excess * self._update_s / self._hyper.batch_rows

@@ -20,6 +20,7 @@ from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
 
+_HOLD_S = 0.05
 _TESTED = ("draw", "probability", "r", "r_best")
 COLUMNS = (
     *(field.name for field in fields(UpdateStats) if field.name != "recovery"),
@@ -68,9 +69,9 @@ class OnPolicyLearning:
     def keep(self, segment: Segment) -> None:
         """Nothing is stored: a batch is forgotten once it was learned from."""
 
-    def hold_s(self) -> float:
-        """None: whoever gathers holds actors back while a batch waits."""
-        return 0.0
+    def hold_s(self, pending_batches: float) -> float:
+        """A little while a batch waits: what is played meanwhile may be stale."""
+        return _HOLD_S if pending_batches >= 1 else 0.0
 
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
         """Make one update, or a recovery."""

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from a2s.learner.gather import Gather, Terms
+from a2s.learner.gather import Gather
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.terms import Terms
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
@@ -40,7 +41,7 @@ class _Run:
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
             self.keep,
-            lambda: 1.5 if self.is_far_behind else 0.0,
+            lambda pending: 1.5 if self.is_far_behind or pending >= 1 else 0.0,
         )
         self.kept: list[Segment] = []
         self.disk_is_full = False

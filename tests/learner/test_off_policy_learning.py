@@ -113,11 +113,11 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     run = learning()
     for seq in range(5):
         run.keep(segment(seq))
-        assert run.hold_s() == 0.0
+        assert run.hold_s(9.0) == 0.0
     run.keep(segment(5))
-    assert run.hold_s() > 0.0
+    assert run.hold_s(9.0) > 0.0
     run.learn([segment(seq) for seq in range(6)], 0.0, is_behind=False)
-    assert run.hold_s() == 0.0
+    assert run.hold_s(9.0) == 0.0
 
 
 @pytest.mark.parametrize("options", [{}, {"prioritised": True, "replay_rows": 35}], ids=str)

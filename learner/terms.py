@@ -1,0 +1,67 @@
+"""The terms of a run: what every actor is told, and what segments are held to."""
+
+from dataclasses import dataclass
+
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import Clock, Hello, Notice, Segment
+
+_MOST_BATCHES = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """What every actor is told, and what segments are held to.
+
+    Attributes:
+        run: Name of the run.
+        generation: Which start of the learner this is.
+        env_id: Environment.
+        spaces: Its spaces.
+        num_envs: Environments of an actor that was not told otherwise.
+        clock: ``lockstep`` or ``async``.
+        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+        seed: Of the run.
+        num_actors: Actors that the first batch waits for.
+    """
+
+    run: str
+    generation: int
+    env_id: str
+    spaces: Spaces
+    num_envs: int
+    clock: Clock
+    max_policy_lag: int | None
+    seed: int
+    num_actors: int
+
+    def difference(self, hello: Hello) -> str:
+        """How the environment of a hello with spaces differs, or ``""``."""
+        assert hello.spaces is not None
+        if hello.env_id != self.env_id:
+            return f"environment: found {hello.env_id}, expected {self.env_id}"
+        difference = self.spaces.differs_from(hello.spaces)
+        return f"environment {hello.env_id}: found {difference}" if difference else ""
+
+    def misfit(self, segment: Segment, num_envs: int) -> str:
+        """Why a segment cannot be of an actor with so many environments, or ``""``."""
+        found = (segment.obs.shape[1], segment.suggestion.shape[1])
+        expected = (self.spaces.obs_size, self.spaces.action_size)
+        if found != expected:
+            return f"found obs_size and action_size {found}, expected {expected}"
+        if segment.env >= num_envs:
+            return f"found env {segment.env}, expected less than {num_envs}"
+        return ""
+
+    def too_old(self, segment: Segment, notice: Notice, pending_batches: float) -> str:
+        """Why a segment is stale, or ``""``; ``notice`` is of the newest weights."""
+        if segment.epoch != notice.epoch:
+            return f"epoch {segment.epoch}, this is {notice.epoch}"
+        lag, allowed = notice.version - segment.weights_version, self.max_policy_lag
+        if allowed is None:
+            return ""
+        if lag > allowed:
+            return f"{lag} versions behind, at most {allowed}"
+        # A lockstep quota is taken whole, however long its episodes.
+        if self.clock == "async" and pending_batches >= _MOST_BATCHES:
+            return "more waits than can be learned from in time"
+        return ""
