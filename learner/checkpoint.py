@@ -18,7 +18,7 @@ from torch import Tensor
 from a2s.protocol.errors import RunDirectoryError
 
 _KEPT = 3
-_FORMAT = 1
+_FORMAT = 2
 
 
 def save(
@@ -74,6 +74,11 @@ def load(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     advice = f"delete {path} to go on from the one before"
     try:
         checked = json.loads((path / "state.json").read_text())
+        if checked["format"] != _FORMAT:
+            raise RunDirectoryError(
+                f"checkpoint {path}: found format {checked['format']}, expected {_FORMAT}; another "
+                "version of a2s made it: go on with that one, or begin another run"
+            )
         data = (path / "tensors.safetensors").read_bytes()
         if hashlib.sha256(data).hexdigest() != checked["sha256"]:
             raise RunDirectoryError(f"checkpoint {path}: the checksum does not match; {advice}")

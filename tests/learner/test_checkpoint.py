@@ -55,3 +55,11 @@ def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, d
 def test_resuming_without_one_says_so(tmp_path: Path) -> None:
     with pytest.raises(RunDirectoryError, match="found no checkpoint; start without --resume"):
         checkpoint.load(tmp_path / "none")
+
+
+def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
+    path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE)
+    text = (path / "state.json").read_text()
+    (path / "state.json").write_text(text.replace('"format": 2', '"format": 1'))
+    with pytest.raises(RunDirectoryError, match="found format 1, expected 2; another version"):
+        checkpoint.load(tmp_path)
