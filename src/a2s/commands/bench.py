@@ -69,10 +69,13 @@ def optional(module: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        logger.warning(
-            "%s is not here, so there is less to compare: pip install %s", *[package] * 2
-        )
+        missing(package)
         return None
+
+
+def missing(package: str) -> None:
+    """Say that a peer is not installed."""
+    logger.warning("%s is not here, so there is less to compare: pip install %s", package, package)
 
 
 def _hold(contest: Contest, rounds: int, seconds: float) -> list[dict[str, Any]]:

@@ -1,20 +1,27 @@
 """One off-policy update beside those of Stable-Baselines3 and sbx, all from rows of a buffer.
 
-Batches of 256, hidden layers 256-256, one thread of torch; JAX takes what it wants.
+Batches of 256, hidden layers 256-256, one thread of torch; JAX takes what it wants. Each contender
+has a process of its own: how memory is freed, and threads, are settings of a whole process.
 """
 
+import importlib
+import importlib.util
+import multiprocessing
+from collections.abc import Callable
 from contextlib import ExitStack
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 import torch
 
-from a2s.commands.bench import Contender, Contest, optional
+from a2s.commands.bench import Contender, Contest, missing
 from a2s.commands.bench_data import ACTION, BATCH, OBS
 from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.algorithm.transitions import Transitions
 from a2s.learner.memory import keep_freed_memory
 from a2s.learner.off_policy_presets import off_policy
+from a2s.protocol.errors import A2SError
 
 ENV_ID = "HalfCheetah-v5"  # of these sizes; it is never stepped
 STORED = 20_000
@@ -31,19 +38,53 @@ _THEIRS = {"stable_baselines3": ("stable-baselines3", True), "sbx": ("sbx-rl", F
 
 
 def contests(stack: ExitStack) -> list[Contest]:
-    """Make an algorithm of each kind, with rows to learn from."""
-    del stack
-    torch.set_num_threads(1)
-    keep_freed_memory()
-    contenders = [_ours(name, *how) for name, how in _OURS.items()]
+    """Start the processes."""
+    contenders = [_process(name, name, stack) for name in _OURS]
     for module, (package, is_baseline) in _THEIRS.items():
-        library = optional(module, package)
-        if library is not None:
-            contenders.append(_theirs(library, package, is_baseline=is_baseline))
+        if importlib.util.find_spec(module) is None:
+            missing(package)
+            continue
+        contenders.append(_process(f"{package} SAC", module, stack, is_baseline=is_baseline))
     return [Contest("updates/s", contenders)]
 
 
-def _ours(name: str, preset: str, options: dict[str, object]) -> Contender:
+def _process(name: str, which: str, stack: ExitStack, *, is_baseline: bool = False) -> Contender:
+    """A process that makes ten updates when told."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    context.Process(target=_serve, args=(which, theirs), name=name, daemon=True).start()
+    theirs.close()
+    stack.callback(ours.close)
+    _wait(ours, name)
+
+    def update() -> None:
+        ours.send(None)
+        _wait(ours, name)
+
+    return Contender(name, update, UPDATES, is_baseline)
+
+
+def _wait(pipe: Connection, name: str) -> None:
+    try:
+        pipe.recv()
+    except EOFError:
+        raise A2SError(f"bench learner: the process of {name} ended; see above why") from None
+
+
+def _serve(which: str, pipe: Connection) -> None:
+    torch.set_num_threads(1)
+    update = _ours(*_OURS[which]) if which in _OURS else _theirs(which)
+    try:
+        while True:
+            pipe.send(None)
+            pipe.recv()
+            update()
+    except (EOFError, BrokenPipeError):
+        return
+
+
+def _ours(preset: str, options: dict[str, object]) -> Callable[[], None]:
+    keep_freed_memory()
     algorithm = OffPolicy(OBS, ACTION, off_policy(preset, options), 0)
     stored = Transitions(
         obs=torch.randn(STORED, OBS),
@@ -60,11 +101,13 @@ def _ours(name: str, preset: str, options: dict[str, object]) -> Contender:
             rows = torch.randint(STORED, (BATCH,))
             algorithm.update(Transitions(*(each[rows] for each in stored)))
 
-    return Contender(name, update, UPDATES)
+    return update
 
 
-def _theirs(library: Any, name: str, *, is_baseline: bool) -> Contender:
-    model = library.SAC("MlpPolicy", ENV_ID, buffer_size=STORED, learning_starts=0)
+def _theirs(module: str) -> Callable[[], None]:
+    model: Any = importlib.import_module(module).SAC(
+        "MlpPolicy", ENV_ID, buffer_size=STORED, learning_starts=0
+    )
     model._setup_learn(1, None)
     rng = np.random.default_rng(0)
     for _ in range(STORED):
@@ -75,4 +118,4 @@ def _theirs(library: Any, name: str, *, is_baseline: bool) -> Contender:
     def update() -> None:
         model.train(gradient_steps=UPDATES, batch_size=BATCH)
 
-    return Contender(f"{name} SAC", update, UPDATES, is_baseline)
+    return update
