@@ -43,7 +43,7 @@ def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) ->
 
 
 def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None:
-    hyper = 'suggestions = 4\ntemperature = 1.0\nrecovery = "off"'
+    hyper = 'suggestions = 4\ntemperature = 3.0\nrecovery = "off"'
     run = _run(tmp_path / "a", [(10, 1.0)], hyper=hyper)
     assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
