@@ -3,7 +3,8 @@
 import logging
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 
 from a2s.learner import checkpoint
-from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
+from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.transitions import Transitions
 from a2s.learner.batching import Source, draw
@@ -20,6 +21,7 @@ from a2s.learner.ledger import Accounts
 from a2s.learner.memory import keep_freed_memory
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_export import export
+from a2s.learner.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
@@ -28,8 +30,7 @@ from a2s.protocol.fields import Spaces
 
 logger = logging.getLogger(__name__)
 
-_SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
-COLUMNS = ("update", "wall_s", "env_steps", "weights_version", "epoch", "replay_rows", *_SHOWN)
+COLUMNS = ("update", "wall_s", "env_steps", "weights_version", "epoch", "replay_rows", *SHOWN)
 _ROUND = 100
 _STATISTICS_ROWS = 4096
 _ASK_AGAIN_S = 1.0
@@ -89,18 +90,20 @@ class FromReplay:
             The summary, as in ``summary.json``.
 
         Raises:
-            A2SError: The replay is gone, or the networks are no longer finite; what was learned
-                is in the checkpoint.
+            A2SError: The replay is gone, what was learned is in the checkpoint; or the networks
+                are no longer finite, it is the one before.
         """
         self._directory.event("start", generation=self._at.generation, env_steps=self._at.env_steps)
         self._metrics.target_steps.set(self._run.total_steps)
-        try:
-            if self._is_filled(stopped):
-                with ThreadPoolExecutor(1, thread_name_prefix="replay") as ahead:
-                    self._learn(ahead, stopped)
-        finally:
-            self._checkpoint()
-        return self._finish()
+        with closing(self._directory):
+            try:
+                if self._is_filled(stopped):
+                    with ThreadPoolExecutor(1, thread_name_prefix="replay") as ahead:
+                        self._learn(ahead, stopped)
+            finally:
+                if self._algorithm.is_finite():
+                    self._checkpoint()
+            return self._finish()
 
     def _is_filled(self, stopped: Callable[[], bool]) -> bool:
         """Wait until there is as much as a learner with actors would wait for."""
@@ -122,24 +125,27 @@ class FromReplay:
             self._algorithm.observe(torch.from_numpy(drawn.obs))
         coming = ahead.submit(self._draw)
         while self._at.env_steps < self._run.total_steps and not stopped():
-            total = torch.zeros(len(_SHOWN))
+            made = RoundMeans()
             for _ in range(_ROUND):
                 batch, coming = coming.result(), ahead.submit(self._draw)
-                stats = self._algorithm.update(batch)
-                total += torch.stack([getattr(stats, name) for name in _SHOWN])
-            self._at.updates += _ROUND
-            self._at.env_steps = int(self._at.updates / self._hyper.updates_per_step)
+                made.add(self._algorithm.update(batch))
+            self._stand_at(self._at.updates + _ROUND)
             self._algorithm.observe(batch.obs)
             if not self._algorithm.is_finite():
                 raise A2SError(
                     f"update {self._at.updates}: found non-finite weights, expected finite"
                 )
-            self._write(dict(zip(_SHOWN, (total / _ROUND).tolist(), strict=True)))
-        _settle(coming)
+            self._write(made.means())
+        coming.exception()  # nobody needs this batch any more; whether it came does not matter
 
     def _draw(self) -> Transitions:
         batch, _ = draw(self._source, self._hyper, self._rng)
         return batch
+
+    def _stand_at(self, updates: int) -> None:
+        """Count updates, and the environment steps that they are worth."""
+        self._at.updates = updates
+        self._at.env_steps = int(updates / self._hyper.updates_per_step)
 
     def _write(self, means: Mapping[str, float]) -> None:
         size = self._size()
@@ -177,9 +183,8 @@ class FromReplay:
     def _resume(self) -> None:
         tensors, state = checkpoint.load(self._directory.path / "checkpoints")
         self._algorithm.load(tensors)
-        self._at.updates, self._at.rows = state["updates"], state["rows"]
-        self._at.env_steps = int(self._at.updates / self._hyper.updates_per_step)
-        self._at.worked_s = state["wall_s"]
+        self._stand_at(state["updates"])
+        self._at.rows, self._at.worked_s = state["rows"], state["wall_s"]
         self._rng.bit_generator.state = state["rng"]
         self._directory.keep_updates(self._at.rows)
 
@@ -189,10 +194,4 @@ class FromReplay:
         summary = summarise(self._run, self._at, EpisodeRecord(), none, path, self._graph())
         self._directory.event("end", env_steps=self._at.env_steps)
         write_summary(self._directory.path, summary)
-        self._directory.close()
         return summary
-
-
-def _settle(coming: "Future[Transitions]") -> None:
-    """Wait for a batch that nobody needs any more; whether it came does not matter."""
-    coming.exception()

@@ -17,6 +17,7 @@ from a2s.learner.learning import Outcome, Quota
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_export import export
+from a2s.learner.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.replay import description, directory
 from a2s.learner.replay.limiter import Limiter
 from a2s.learner.replay.replay import Replay
@@ -28,8 +29,7 @@ from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
 
 _HOLD_S = (0.02, 2.0)
-_SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
-COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *_SHOWN)
+COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *SHOWN)
 
 
 class OffPolicyLearning:
@@ -123,25 +123,23 @@ class OffPolicyLearning:
         obs = np.concatenate([segment.obs for segment in segments])
         self._algorithm.observe(torch.from_numpy(obs))
         most = 2 * math.ceil(self._quota.batch_steps * self._hyper.updates_per_step)
-        total, made, begin_s = torch.zeros(len(_SHOWN)), 0, time.monotonic()
-        while made < most and self._limiter.may_sample():
-            stats = self._update()
-            total += torch.stack([getattr(stats, name) for name in _SHOWN])
-            made += 1
+        made, begin_s = RoundMeans(), time.monotonic()
+        while made.count < most and self._limiter.may_sample():
+            made.add(self._update())
         if not self._algorithm.is_finite():
             raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
         means: dict[str, float] = {}
-        if made:
-            self._update_s = (time.monotonic() - begin_s) / made
-            means = dict(zip(_SHOWN, (total / made).tolist(), strict=True))
-            self._metrics.show_off_policy(means, made)
+        if made.count:
+            self._update_s = (time.monotonic() - begin_s) / made.count
+            means = made.means()
+            self._metrics.show_off_policy(means, made.count)
         self._show()
         own = {
-            "gradient_steps": made,
+            "gradient_steps": made.count,
             "replay_rows": len(self._replay),
             "samples_per_insert_error": self._limiter.error,
         }
-        return Outcome(dict.fromkeys(_SHOWN) | own | means)
+        return Outcome(dict.fromkeys(SHOWN) | own | means)
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Of the algorithm, the limiter and the draws; the replay keeps itself."""

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from a2s.actors.environment import describe
 from a2s.commands.serving import serve_on
-from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
+from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner import run_directory
 from a2s.learner.batching import Source
 from a2s.learner.configuration import Configuration
@@ -81,9 +82,7 @@ def learn(
             f"policy      {path / 'latest' / 'policy.onnx'}\n"
         )
         out.flush()
-    if as_json:
-        sys.stdout.write(json.dumps(summary) + "\n")
-    return EXIT_INTERRUPTED if stop.interrupted else 0
+    return _end(summary, stop, as_json=as_json)
 
 
 def learn_from(
@@ -129,10 +128,11 @@ def learn_from(
                 f"--env: found {env}, expected {about.env_id}, as the replay of {source}"
             )
         run = replace(configuration.run, env=about.env_id)
+        configuration = replace(configuration, run=run)
         stop = stack.enter_context(stop_on_signals())
         url = stack.enter_context(_served(metrics, metrics_host, metrics_port))
         learner = FromReplay(
-            configuration=replace(configuration, run=run),
+            configuration=configuration,
             spaces=about.spaces,
             source=replay,
             size=size,
@@ -143,7 +143,7 @@ def learn_from(
         metrics.run.info(
             {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
         )
-        text = replace(configuration, run=run).to_toml()
+        text = configuration.to_toml()
         run_directory.write_atomically(path / run_directory.CONFIG, text.encode())
         out.write(
             f"a2s learner: {run.env} from the replay of {source}, {size():,} transitions\n"
@@ -156,6 +156,11 @@ def learn_from(
         f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s\npolicy      {policy}\n"
     )
     out.flush()
+    return _end(summary, stop, as_json=as_json)
+
+
+def _end(summary: dict[str, Any], stop: Stop, *, as_json: bool) -> int:
+    """Give the summary to whoever wants it as JSON, and the exit code."""
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")
     return EXIT_INTERRUPTED if stop.interrupted else 0

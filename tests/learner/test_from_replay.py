@@ -1,0 +1,65 @@
+"""A learner without actors keeps only what can be gone on with."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from a2s.learner.configuration import assemble
+from a2s.learner.from_replay import FromReplay
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.replay.replay import Replay
+from a2s.protocol.errors import A2SError
+from a2s.protocol.fields import Spaces
+from a2s.protocol.messages import Segment
+
+SPACES = Spaces(
+    obs_size=3,
+    action_low=np.full(2, -1, dtype=np.float32),
+    action_high=np.full(2, 1, dtype=np.float32),
+)
+SMALL = {"critic_sizes": "8", "policy_sizes": "8", "batch_rows": "8", "warm_up_steps": "8"}
+
+
+def replay(reward: float) -> Replay:
+    """Twenty steps with the same reward."""
+    made = Replay.in_memory("Test-v0", SPACES, 100)
+    rng = np.random.default_rng(0)
+    made.insert(
+        Segment(
+            actor="a", seq=0, generation=1, epoch=0, weights_version=1, env=0,
+            obs=rng.standard_normal((20, 3)).astype(np.float32),
+            suggestion=rng.uniform(-1, 1, (20, 2)).astype(np.float32),
+            log_prob=np.zeros(20, np.float32), reward=np.full(20, reward, np.float32),
+            final_obs=np.zeros(3, np.float32), terminated=True, truncated=False,
+            episode_return=0.0, episode_length=20,
+        )
+    )  # fmt: skip
+    return made
+
+
+def learner(path: Path, source: Replay) -> FromReplay:
+    """Learn for 100 updates."""
+    options = {"variant": "off-policy", "total_steps": 100}
+    return FromReplay(
+        configuration=assemble(options, SMALL),
+        spaces=SPACES,
+        source=source,
+        size=lambda: len(source),
+        path=path,
+        metrics=LearnerMetrics(),
+        resume=False,
+    )
+
+
+def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
+    """A reward whose square is beyond float32."""
+    with pytest.raises(A2SError, match="update 100: found non-finite weights"):
+        learner(tmp_path, replay(3e38)).run(lambda: False)
+    assert not (tmp_path / "checkpoints").exists()
+
+
+def test_the_end_is_kept(tmp_path: Path) -> None:
+    summary = learner(tmp_path, replay(1.0)).run(lambda: False)
+    assert (summary["updates"], summary["finished"]) == (100, True)
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000100"]
