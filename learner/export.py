@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from a2s.learner.algorithm.body import LAYER_NORM_EPS, Body
+from a2s.learner.algorithm.body import Body
+from a2s.learner.algorithm.layer_norm import LAYER_NORM_EPS
 from a2s.learner.algorithm.suggester import Suggester
 from a2s.learner.algorithm.suggestion import SPREAD_EPS
 from a2s.learner.graph import Nodes, Numbers, common_numbers, constant, fill, own_metadata

@@ -14,8 +14,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
 from a2s.learner.algorithm.hyperparameters import Activation, Init, OnPolicyHyper
-
-LAYER_NORM_EPS = 1e-5
+from a2s.learner.algorithm.layer_norm import LAYER_NORM_EPS
 
 ACTIVATIONS: dict[Activation, Callable[[Tensor], Tensor]] = {
     "tanh": torch.tanh,

@@ -19,7 +19,10 @@ _ALIGNMENT = 16
 
 
 class Form:
-    """Layers of a network, and where their parameters are in a vector of one member.
+    """Layers of a network, and where their parameters are in a vector.
+
+    A vector holds each parameter of all members side by side, so that a product of all members
+    reads one piece of memory: it would be copied for every product otherwise.
 
     ``mlp``: Linear, layer normalisation, ReLU for each hidden layer; then Linear. ``residual``:
     Linear to the first hidden size; for each further one a block that adds to its input
@@ -52,31 +55,32 @@ class Form:
         self.trunk: list[Layer] = []
         if self.late:
             width = hidden.pop(0)
-            self.enter = self._linear(inputs - late, width)
-            self.trunk = [self.enter, *self._norm(width, relu=True)]
+            self.enter, self.trunk = self._chain(inputs - late, [width])
             inputs = width + late
-        self.first = self._linear(inputs, hidden[0])
-        self.layers: list[Layer] = [self.first]
         if network != "residual":
-            for before, after in zip(hidden, [*hidden[1:], outputs], strict=True):
-                self.layers += [*self._norm(before, relu=True), self._linear(before, after)]
+            self.first, self.layers = self._chain(inputs, hidden)
+            width = hidden[-1]
         else:
             width = hidden[0]
+            self.first = self._linear(inputs, width)
+            self.layers = [self.first]
             for inner in hidden[1:]:
                 block = [*self._norm(width), self._linear(width, inner), Relu()]
                 self.layers.append(Residual([*block, self._linear(inner, width)]))
-            self.layers += [*self._norm(width), self._linear(width, outputs)]
+            self.layers += self._norm(width)
+        self.layers.append(self._linear(width, outputs))
 
     def views(self, flat: Tensor) -> list[Tensor]:
-        """The parameters in vectors ``[E, length]``, each ``[E, rows, columns]``."""
+        """The parameters in a vector ``[E length]``, each ``[E, rows, columns]``."""
+        members = len(flat) // self.length
         return [
-            flat[:, start : start + rows * columns].view(-1, rows, columns)
+            flat[members * start :][: members * rows * columns].view(members, rows, columns)
             for start, (rows, columns) in zip(self.starts, self.shapes, strict=True)
         ]
 
     def draw(self, members: int, generator: torch.Generator) -> Tensor:
-        """First parameters, ``[E, length]``: of Linear uniform in +-1/sqrt(inputs)."""
-        flat = torch.zeros(members, self.length)
+        """First parameters, ``[E length]``: of Linear uniform in +-1/sqrt(inputs)."""
+        flat = torch.zeros(members * self.length)
         views = self.views(flat)
         for index in range(0, len(views), 2):  # weight and bias, or gain and offset
             if index in self.gains:
@@ -93,14 +97,24 @@ class Form:
         self.length += -(-rows * columns // _ALIGNMENT) * _ALIGNMENT
         return len(self.shapes) - 1
 
-    def _linear(self, rows: int, columns: int) -> Linear:
-        return Linear(self._add(rows, columns), self._add(1, columns))
+    def _linear(self, rows: int, columns: int, *, adds_bias: bool = True) -> Linear:
+        return Linear(self._add(rows, columns), self._add(1, columns), adds_bias=adds_bias)
 
-    def _norm(self, width: int, *, relu: bool = False) -> list[Layer]:
+    def _norm(self, width: int, *, relu: bool = False, bias: int | None = None) -> list[Layer]:
         if not self.layer_norm:
             return [Relu()] if relu else []
         self.gains.append(self._add(1, width))
-        return [Norm(self.gains[-1], self._add(1, width), relu=relu)]
+        return [Norm(self.gains[-1], self._add(1, width), relu=relu, bias=bias)]
+
+    def _chain(self, rows: int, widths: list[int]) -> tuple[Linear, list[Layer]]:
+        """Linear, normalisation and ReLU for each width, and the first of them by itself."""
+        linears: list[Linear] = []
+        layers: list[Layer] = []
+        for width in widths:
+            linears.append(self._linear(rows, width, adds_bias=not self.layer_norm))
+            layers += [linears[-1], *self._norm(width, relu=True, bias=linears[-1].bias)]
+            rows = width
+        return linears[0], layers
 
 
 class Tape(NamedTuple):
@@ -115,18 +129,18 @@ class Ensemble:
 
     Args:
         form: Of each.
-        flat: First parameters, float32 ``[E, length]``; kept, not copied.
+        flat: First parameters, float32 ``[E length]``; kept, not copied.
         precision: Of matrix products.
 
     Attributes:
-        value: Parameters, float32 ``[E, length]``; after a change call `refresh`.
+        value: Parameters, float32 ``[E length]``; after a change call `refresh`.
         grad: Gradients of the same shape, written by `differentiate`.
         weights: Views of the parameters.
     """
 
     def __init__(self, form: Form, flat: Tensor, *, precision: Precision) -> None:
         self.form = form
-        self.members = len(flat)
+        self.members = len(flat) // form.length
         self.value = flat
         self.grad = torch.zeros_like(flat)
         self._product = flat if precision == "f32" else flat.to(torch.bfloat16)
@@ -145,10 +159,10 @@ class Ensemble:
 
     def pick(self, index: Tensor) -> Weights:
         """The weights of some members, by their numbers, int64 ``[N]``; gathered, not views."""
-        full = self.value.index_select(0, index)
+        full = [each.index_select(0, index) for each in self.weights.full]
         if self._product is self.value:
-            return self._weights(full, full)
-        return self._weights(full, self._product.index_select(0, index))
+            return Weights(full, full)
+        return Weights(full, [each.index_select(0, index) for each in self.weights.product])
 
     def trace(self, x: Tensor) -> tuple[Tensor, Tape]:
         """Map inputs ``[N, in]`` or ``[E, N, in]`` to ``[E, N, out]``.
@@ -204,8 +218,7 @@ class Ensemble:
     def _weights(self, full: Tensor, product: Tensor) -> Weights:
         views = self.form.views(full)
         low = views if product is full else self.form.views(product)
-        vectors = [list(view.flatten(1).unbind(0)) if view.shape[1] == 1 else [] for view in views]
-        return Weights(views, low, vectors)
+        return Weights(views, low)
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
@@ -227,7 +240,7 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     if form.trunk:
         shown = run(form.trunk, weights, shown)[0].to(kind)
     split = shown.shape[2]
-    seen = torch.baddbmm(weights.product[form.first.bias], shown, weight[:, :split])
+    seen = form.first.multiply(weights, shown, weight[:, :split])
     acted = torch.bmm(action.to(kind).view(members, -1, size), weight[:, split:])
     both = acted.view(members, rows, count, -1)
     both += seen.unsqueeze(2)

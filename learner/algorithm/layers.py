@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-LAYER_NORM_EPS = 1e-5
+from a2s.learner.algorithm.layer_norm import Affine, Normed, layer_norm, layer_norm_back
+
 _aten = torch.ops.aten
 
 
@@ -21,13 +22,10 @@ class Weights(NamedTuple):
     Attributes:
         full: Each ``[E, rows, columns]``, float32.
         product: The same in the precision of matrix products.
-        vectors: Of each with one row, the members one by one, float32 ``[columns]``: finding them
-            takes as long as a small kernel.
     """
 
     full: list[Tensor]
     product: list[Tensor]
-    vectors: list[list[Tensor]]
 
 
 class Layer(Protocol):
@@ -53,17 +51,25 @@ class Linear:
     Args:
         weight: Number of W, ``[E, in, out]``.
         bias: Number of b, ``[E, 1, out]``.
+        adds_bias: ``False``: the normalisation above adds it, in the pass that it makes anyway.
     """
 
-    def __init__(self, weight: int, bias: int) -> None:
+    def __init__(self, weight: int, bias: int, *, adds_bias: bool = True) -> None:
         self.weight = weight
         self.bias = bias
+        self.adds_bias = adds_bias
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Tensor]:
         """Multiply and add."""
-        weight, bias = weights.product[self.weight], weights.product[self.bias]
+        weight = weights.product[self.weight]
         x = x.to(weight.dtype)
-        return torch.baddbmm(bias, x, weight), x
+        return self.multiply(weights, x, weight), x
+
+    def multiply(self, weights: Weights, x: Tensor, weight: Tensor) -> Tensor:
+        """Multiply by W or some of its rows, and add b if that is to be done here."""
+        if not self.adds_bias:
+            return torch.bmm(x, weight)
+        return torch.baddbmm(weights.product[self.bias], x, weight)
 
     def backward(
         self, weights: Weights, grads: Weights | None, seen: Tensor, grad: Tensor
@@ -77,13 +83,13 @@ class Linear:
 
     def collect(self, grads: Weights, seen: Tensor, grad: Tensor) -> None:
         """Overwrite the gradients of W and b; ``grad`` is in the precision of the product."""
-        by_weight, by_bias = grads.full[self.weight], grads.full[self.bias]
+        by_weight = grads.full[self.weight]
         if grad.dtype == by_weight.dtype:
             torch.bmm(seen.mT, grad, out=by_weight)
-            torch.sum(grad, 1, keepdim=True, out=by_bias)
-        else:  # to let the kernels write float32 costs a copy of what they read
+        else:  # to let the kernel write float32 costs a copy of what it reads
             by_weight.copy_(torch.bmm(seen.mT, grad))
-            by_bias.copy_(grad.sum(1, keepdim=True))
+        if self.adds_bias:
+            grads.full[self.bias].copy_(grad.sum(1, keepdim=True))
 
 
 class Relu:
@@ -102,54 +108,35 @@ class Relu:
 class Norm:
     """Layer normalisation with gain and offset, and max(x, 0) where wanted.
 
-    Member by member: the kernel takes one gain, and is so faster than one without and two more
-    for gain and offset.
-
     Args:
         gain: Number of the gain, ``[E, 1, width]``.
         offset: Number of the offset, ``[E, 1, width]``.
         relu: Whether to cut at 0.
+        bias: Number of the bias that the layer below leaves to this one, if it does.
     """
 
-    def __init__(self, gain: int, offset: int, *, relu: bool) -> None:
+    def __init__(self, gain: int, offset: int, *, relu: bool, bias: int | None) -> None:
         self.gain = gain
         self.offset = offset
         self.relu = relu
+        self.bias = bias
 
-    def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Any]:
+    def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Normed]:
         """Normalise over the last dimension."""
-        made, tape = [], []
-        for rows, gain, offset in zip(x.unbind(0), *self._vectors(weights), strict=True):
-            normal, mean, rstd = torch.native_layer_norm(
-                rows, gain.shape, gain, offset, LAYER_NORM_EPS
-            )
-            made.append(normal.relu_() if self.relu else normal)
-            tape.append((rows, mean, rstd))
-        out = _together(made)
-        return out, (out, tape)
+        normed = layer_norm(x, self._of(weights), relu=self.relu)
+        return normed.out, normed
 
-    def backward(self, weights: Weights, grads: Weights | None, seen: Any, grad: Tensor) -> Tensor:
+    def backward(
+        self, weights: Weights, grads: Weights | None, seen: Normed, grad: Tensor
+    ) -> Tensor:
         """Go through the normalisation."""
-        out, tape = seen
-        if self.relu:
-            grad = _above_zero(grad, out)
-        wanted = grads is not None
-        parts = (tape, grad.unbind(0), *self._vectors(weights))
-        through, found = [], []
-        for (rows, mean, rstd), by_out, gain, offset in zip(*parts, strict=True):
-            by_input, by_gain, by_offset = _aten.native_layer_norm_backward(
-                by_out, rows, gain.shape, mean, rstd, gain, offset, [True, wanted, wanted]
-            )
-            through.append(by_input)
-            found.append((by_gain, by_offset))
-        if grads is not None:
-            for each, gain, offset in zip(found, *self._vectors(grads), strict=True):
-                gain.copy_(each[0])
-                offset.copy_(each[1])
-        return _together(through)
+        into = None if grads is None else self._of(grads)
+        return layer_norm_back(seen, grad, self._of(weights), relu=self.relu, into=into)
 
-    def _vectors(self, weights: Weights) -> tuple[list[Tensor], list[Tensor]]:
-        return weights.vectors[self.gain], weights.vectors[self.offset]
+    def _of(self, weights: Weights) -> Affine:
+        full = weights.full
+        bias = None if self.bias is None else full[self.bias]
+        return Affine(full[self.gain], full[self.offset], bias)
 
 
 class Residual:
@@ -194,11 +181,6 @@ def run_back(
     for layer, seen in zip(reversed(layers), reversed(tape), strict=True):
         grad = layer.backward(weights, grads, seen, grad)
     return grad
-
-
-def _together(members: list[Tensor]) -> Tensor:
-    """Stack members; one alone is not copied."""
-    return torch.stack(members) if len(members) > 1 else members[0].unsqueeze(0)
 
 
 def _above_zero(grad: Tensor, out: Tensor) -> Tensor:

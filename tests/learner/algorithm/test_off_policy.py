@@ -258,13 +258,17 @@ def test_numbering_of_the_critics_does_not_matter() -> None:
     """Two that change places, and their numbers in the noise with them."""
     one, other = make("modern", target_groups=2), make("modern", target_groups=2)
     for ensemble in (other.learned.critics, other.learned.targets):
-        ensemble.value.copy_(ensemble.value.flip(0))
+        for view in ensemble.weights.full:
+            view.copy_(view.flip(0))
     for number in range(3):
         noise = noise_of(one, number)
         one.update(batch(number), noise)
         other.update(batch(number), noise._replace(critic=1 - noise.critic))
     torch.testing.assert_close(one.learned.policy.value, other.learned.policy.value)
-    torch.testing.assert_close(one.learned.targets.value, other.learned.targets.value.flip(0))
+    for mine, yours in zip(
+        one.learned.targets.weights.full, other.learned.targets.weights.full, strict=True
+    ):
+        torch.testing.assert_close(mine, yours.flip(0))
 
 
 def test_equation_6_weighs_as_much_as_it_is_told() -> None:

@@ -1,0 +1,127 @@
+"""Layer normalisation of several members' rows, with gain, offset and max(x, 0), and its gradient.
+
+On a processor compiled kernels make it in one pass (docs/adr/0007); elsewhere, and in float64,
+torch's do.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.algorithm import layer_norm_kernels
+from a2s.protocol.fields import Array
+
+LAYER_NORM_EPS = 1e-5
+_aten = torch.ops.aten
+
+
+class Affine(NamedTuple):
+    """Parameters, or the gradients by them: float32 unless what is normalised is float64.
+
+    Attributes:
+        gain: ``[E, 1, W]``.
+        offset: ``[E, 1, W]``.
+        bias: Added before normalisation, ``[E, 1, W]``, or ``None``.
+    """
+
+    gain: Tensor
+    offset: Tensor
+    bias: Tensor | None
+
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """All three; the gain again where there is no bias, which is then not looked at."""
+        gain = self.gain.numpy()
+        return gain, self.offset.numpy(), gain if self.bias is None else self.bias.numpy()
+
+
+class Normed(NamedTuple):
+    """What the gradient needs of one pass.
+
+    Attributes:
+        x: What was given, ``[E, N, W]``.
+        out: What came out, ``[E, N, W]``.
+        stats: Mean of each row, and one over its standard deviation, ``[2, E, N]``.
+    """
+
+    x: Tensor
+    out: Tensor
+    stats: Tensor
+
+
+def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
+    """Normalise over the last dimension.
+
+    Args:
+        x: ``[E, N, W]``, of any precision.
+        affine: Parameters.
+        relu: Whether to cut at 0.
+    """
+    x = x.contiguous()
+    if _is_compiled(x):
+        out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
+        has_bias = affine.bias is not None
+        layer_norm_kernels.forward(
+            _raw(x), *affine.arrays(), has_bias, relu, LAYER_NORM_EPS, _raw(out), stats.numpy()
+        )
+        return Normed(x, out, stats)
+    made = [
+        torch.native_layer_norm(rows, rows.shape[-1:], gain[0], offset[0], LAYER_NORM_EPS)
+        for rows, gain, offset in zip(_biased(x, affine), affine.gain, affine.offset, strict=True)
+    ]
+    out, mean, rstd = (torch.stack(part) for part in zip(*made, strict=True))
+    return Normed(x, out.relu_() if relu else out, torch.stack([mean, rstd]).squeeze(-1))
+
+
+def layer_norm_back(
+    normed: Normed, grad: Tensor, affine: Affine, *, relu: bool, into: Affine | None
+) -> Tensor:
+    """Turn the gradient by the output, ``[E, N, W]``, into that by the input.
+
+    Args:
+        normed: From `layer_norm`.
+        grad: ``[E, N, W]``, as precise as the input.
+        affine: As given to `layer_norm`.
+        relu: As given to `layer_norm`.
+        into: Where the gradients by the parameters are written; ``None``: they are not wanted.
+    """
+    grad = grad.contiguous()
+    if _is_compiled(grad):
+        through = torch.empty_like(grad)
+        gain, _, bias = affine.arrays()
+        layer_norm_kernels.backward(
+            _raw(grad), _raw(normed.x), _raw(normed.out), normed.stats.numpy(), gain, bias,
+            affine.bias is not None, relu, into is not None, _raw(through),
+            *(into or affine).arrays(),
+        )  # fmt: skip
+        return through
+    if relu:
+        grad = _aten.threshold_backward(grad, normed.out, 0)
+    mean, rstd = normed.stats.unsqueeze(-1)
+    parts = (grad, _biased(normed.x, affine), mean, rstd, affine.gain)
+    made = [
+        _aten.native_layer_norm_backward(
+            by_out, rows, rows.shape[-1:], m, r, gain[0], gain[0], [True, True, True]
+        )
+        for by_out, rows, m, r, gain in zip(*parts, strict=True)
+    ]
+    through, by_gain, by_offset = (torch.stack(part) for part in zip(*made, strict=True))
+    if into is not None:
+        into.gain.copy_(by_gain.unsqueeze(1))
+        into.offset.copy_(by_offset.unsqueeze(1))
+        if into.bias is not None:
+            into.bias.copy_(through.sum(1, keepdim=True))
+    return through
+
+
+def _biased(x: Tensor, affine: Affine) -> Tensor:
+    return x if affine.bias is None else x + affine.bias
+
+
+def _is_compiled(x: Tensor) -> bool:
+    return x.is_cpu and x.dtype != torch.float64
+
+
+def _raw(x: Tensor) -> Array:
+    """The same memory as an array; bfloat16, which numpy does not know, as its bits."""
+    return (x.view(torch.uint16) if x.dtype == torch.bfloat16 else x).numpy()
