@@ -61,7 +61,7 @@ def contests(stack: ExitStack) -> list[Contest]:
         _contest("insert a segment", buffers, "insert", STEPS),
         _contest("uniform sample", buffers, "uniform", BATCH),
         _contest("prioritised sample and update", buffers, "prioritised", BATCH),
-        Contest("batches/s", [_served(stored, stack)]),
+        Contest("batches/s", [served(stored, stack)]),
         Contest("openings/s", [_opening(folder / "large", segments)]),
     ]
 
@@ -167,8 +167,8 @@ def _torchrl(segments: list[Segment]) -> list[_Buffer]:
     ]
 
 
-def _served(replay: Replay, stack: ExitStack) -> Contender:
-    """Sample over Zenoh, all the time of the server given to it."""
+def served(replay: Replay, stack: ExitStack) -> Contender:
+    """Sample a replay over Zenoh, all the time of the server given to it."""
     endpoint, keys = free_endpoint(), Keys("bench")
     server = stack.enter_context(closing(ZenohBus.listen(endpoint)))
     ServedReplay(server, keys, replay, 1, share=1.0).open()
