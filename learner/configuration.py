@@ -24,6 +24,7 @@ from a2s.protocol.messages import Clock
 
 Variant = Literal["on-policy", "off-policy"]
 Algo = Literal["a2s", "a2c"]
+Device = Literal["cpu", "cuda"]
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
 
@@ -62,6 +63,8 @@ class RunConfig:
     """Updates between policies that are kept for good; 0 keeps none."""
     threads: int = 1
     """Threads of torch; small networks are fastest with one."""
+    device: Device = "cpu"
+    """Where off-policy networks learn; actors need no GPU."""
 
     def __post_init__(self) -> None:
         """Check every value against its type and range."""
@@ -80,8 +83,9 @@ class RunConfig:
                 raise UsageError(f"{name}: found {getattr(self, name)}, expected at least {low}")
         if self.envs > 4096:
             raise UsageError(f"envs: found {self.envs}, expected at most 4096")
-        if self.variant == "off-policy" and self.algo != "a2s":
-            raise UsageError(f"algo: found {self.algo}, expected a2s with variant off-policy")
+        name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
+        if (found := getattr(self, name)) != only:
+            raise UsageError(f"{name}: found {found}, expected {only} with variant {self.variant}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ import torch
 from a2s.learner import checkpoint
 from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.recorded_update import update_of
 from a2s.learner.algorithm.transitions import Transitions
 from a2s.learner.batching import Source, draw
 from a2s.learner.configuration import Configuration
@@ -74,7 +75,9 @@ class FromReplay:
         keep_freed_memory()
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         seed = self._run.seed
-        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        device = self._run.device
+        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
+        self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         self._at = Standing()
         self._directory = RunDirectory(path, COLUMNS, self._at.wall_s)
@@ -128,7 +131,7 @@ class FromReplay:
             made = RoundMeans()
             for _ in range(_ROUND):
                 batch, coming = coming.result(), ahead.submit(self._draw)
-                made.add(self._algorithm.update(batch))
+                made.add(self._learn_from(batch))
             self._stand_at(self._at.updates + _ROUND)
             self._algorithm.observe(batch.obs)
             if not self._algorithm.is_finite():

@@ -12,7 +12,9 @@ from torch import Tensor
 
 from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.recorded_update import update_of
 from a2s.learner.batching import draw
+from a2s.learner.configuration import Device
 from a2s.learner.learning import Outcome, Quota
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
@@ -43,6 +45,7 @@ class OffPolicyLearning:
         path: Directory of the run; the replay is ``replay/`` in it.
         ledger: Knows which segments were acknowledged.
         metrics: Where updates are shown.
+        device: Of the networks.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened.
@@ -62,11 +65,13 @@ class OffPolicyLearning:
         path: Path,
         ledger: Ledger,
         metrics: LearnerMetrics,
+        device: Device,
     ) -> None:
         self._hyper = hyper
         self._metrics = metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
-        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
+        self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         samples_per_step = hyper.updates_per_step * hyper.batch_rows
         self._limiter = Limiter(
@@ -171,9 +176,9 @@ class OffPolicyLearning:
 
     def _update(self) -> OffPolicyStats:
         batch, rows = draw(self._replay, self._hyper, self._rng)
-        stats = self._algorithm.update(batch)
+        stats = self._learn_from(batch)
         if self._hyper.prioritised:
-            self._replay.update_priorities(rows, stats.error.numpy())
+            self._replay.update_priorities(rows, stats.error.cpu().numpy())
         self._limiter.count_sample()
         self._updates += 1
         return stats

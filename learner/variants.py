@@ -27,5 +27,7 @@ def make_learning(
     """
     run, hyper = configuration.run, configuration.hyper
     if isinstance(hyper, OffPolicyHyper):
-        return OffPolicyLearning(run.env, spaces, hyper, run.seed, path, ledger, metrics)
+        return OffPolicyLearning(
+            run.env, spaces, hyper, run.seed, path, ledger, metrics, run.device
+        )
     return OnPolicyLearning(spaces, hyper, run.seed, metrics)

@@ -84,17 +84,22 @@ class OffPolicy:
         self.hyper = hyper
         self.obs_size = obs_size
         self.action_size = action_size
-        where = torch.device(device)
+        self.device = torch.device(device)
         root = torch.Generator().manual_seed(seed)
         networks, noise = torch.randint(2**62, (2,), generator=root).tolist()
         first = torch.Generator().manual_seed(networks)
-        self.learned = OffPolicyLearned(obs_size, action_size, hyper, first, where)
-        self._noise = torch.Generator(where).manual_seed(noise)
+        self.learned = OffPolicyLearned(obs_size, action_size, hyper, first, self.device)
+        self._noise = torch.Generator().manual_seed(noise)
         self._wanted_entropy = hyper.entropy_per_action * action_size
 
     def observe(self, obs: Tensor) -> None:
         """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
-        self.learned.normaliser.update(obs)
+        self.learned.normaliser.update(obs.to(self.device))
+
+    def draw_noise(self, rows: int) -> Noise:
+        """Draw what an update of so many rows needs: on the CPU, to be the same everywhere."""
+        noise = draw_noise(rows, self.action_size, self.hyper, self._noise)
+        return Noise(*(each.to(self.device, non_blocking=True) for each in noise))
 
     def suggester(
         self, action_low: Tensor, action_high: Tensor, *, warms_up: bool = False
@@ -124,11 +129,11 @@ class OffPolicy:
         """Learn from a batch.
 
         Args:
-            batch: Rows of a replay.
+            batch: Rows of a replay, on the device.
             noise: Drawn here when not given.
         """
         if noise is None:
-            noise = draw_noise(len(batch.obs), self.action_size, self.hyper, self._noise)
+            noise = self.draw_noise(len(batch.obs))
         learned = self.learned
         obs, next_obs = learned.normaliser(batch.obs), learned.normaliser(batch.next_obs)
         output, tape = learned.policy.trace(obs)
@@ -176,7 +181,7 @@ class OffPolicy:
         """
         check_tensors(tensors, self.state())
         self.learned.load(tensors)
-        self._noise.set_state(tensors["generator.noise"].cpu())
+        self._noise.set_state(tensors["generator.noise"])
 
     def _learn_temperature(self, log_prob: Tensor) -> None:
         """Raise the temperature where the entropy is below the wanted one.

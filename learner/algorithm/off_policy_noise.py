@@ -30,15 +30,15 @@ class Noise(NamedTuple):
 def draw_noise(
     rows: int, action_size: int, hyper: OffPolicyHyper, generator: torch.Generator
 ) -> Noise:
-    """Draw the noise of an update of B = ``rows`` rows, on the device of the generator."""
-    groups, device = hyper.target_groups, generator.device
+    """Draw the noise of an update of B = ``rows`` rows."""
+    groups = hyper.target_groups
 
     def normal(*shape: int) -> Tensor:
-        return torch.randn(shape, generator=generator, device=device)
+        return torch.randn(shape, generator=generator)
 
     return Noise(
         suggestion=normal(rows, action_size),
         target=normal(groups, rows, hyper.target_suggestions, action_size),
         distil=normal(rows, hyper.distil_suggestions if hyper.weighs_several else 0, action_size),
-        critic=torch.randint(hyper.critics, (groups + 1,), generator=generator, device=device),
+        critic=torch.randint(hyper.critics, (groups + 1,), generator=generator),
     )

@@ -63,6 +63,7 @@ def learner(
     n: options.N = None,
     envs: options.Envs = None,
     threads: options.Threads = None,
+    device: options.Device = None,
     keep_policy_every: options.KeepPolicyEvery = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
@@ -87,7 +88,7 @@ def learner(
         "variant": variant or ("off-policy" if replay_from else None),
         "algo": algo, "preset": preset, "suggestions": suggestions, "recovery": recovery,
         "lockstep": lockstep,
-        "n": n, "envs": envs, "threads": threads,
+        "n": n, "envs": envs, "threads": threads, "device": device,
         "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip
     configuration, path = configure(given, settings, config, run_dir, resume=resume)
@@ -176,6 +177,7 @@ def train(
     n: options.N = None,
     envs: options.Envs = None,
     threads: options.Threads = None,
+    device: options.Device = None,
     keep_policy_every: options.KeepPolicyEvery = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
@@ -192,7 +194,7 @@ def train(
         "env": env, "total_steps": total_steps, "seed": seed, "run": run, "variant": variant,
         "algo": algo, "preset": preset, "suggestions": suggestions, "recovery": recovery,
         "lockstep": lockstep,
-        "n": n, "envs": envs, "threads": threads,
+        "n": n, "envs": envs, "threads": threads, "device": device,
         "keep_policy_every_updates": keep_policy_every,
     }  # fmt: skip
     configuration, path = configure(

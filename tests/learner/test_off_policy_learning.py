@@ -34,7 +34,7 @@ def learning(tmp_path: Path) -> Learn:
         path.mkdir(exist_ok=True)
         ledger = Ledger(path / "segments.log")
         hyper = off_policy("modern", {**SMALL, **options})
-        return OffPolicyLearning(env_id, SPACES, hyper, 7, path, ledger, LearnerMetrics())
+        return OffPolicyLearning(env_id, SPACES, hyper, 7, path, ledger, LearnerMetrics(), "cpu")
 
     return make
 

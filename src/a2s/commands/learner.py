@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from a2s.actors.environment import describe
 from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
@@ -51,6 +53,7 @@ def learn(
     """
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
+    _require_device(run.device)
     spaces = describe(run.env)
     metrics = LearnerMetrics()
     metrics.run.info({"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)})
@@ -120,6 +123,7 @@ def learn_from(
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     if configuration.run.variant != "off-policy":
         raise UsageError("--replay-from: only --variant off-policy learns from a replay")
+    _require_device(configuration.run.device)
     out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
     with ExitStack() as stack:
         replay, about, size = _source(source, connect, stack)
@@ -157,6 +161,11 @@ def learn_from(
     )
     out.flush()
     return _end(summary, stop, as_json=as_json)
+
+
+def _require_device(device: str) -> None:
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")
 
 
 def _end(summary: dict[str, Any], stop: Stop, *, as_json: bool) -> int:

@@ -205,6 +205,16 @@ Threads = Annotated[
         show_default="1",
     ),
 ]
+Device = Annotated[
+    str | None,
+    _option(
+        "--device",
+        env="A2S_DEVICE",
+        help="Where the learner's networks are, off-policy: cpu or cuda.",
+        panel=_PLACE,
+        show_default="cpu",
+    ),
+]
 Listen = Annotated[
     str | None,
     _option(
