@@ -64,8 +64,7 @@ class SumTree:
         Returns:
             Their indices, int64 ``[B]``; a leaf of 0 is never among them.
         """
-        share = (np.arange(batch_size) + rng.random(batch_size)) / batch_size
-        found: Rows = _find(self._nodes, self._starts, share)
+        found: Rows = _find(self._nodes, self._starts, rng.random(batch_size))
         return found
 
 
@@ -99,26 +98,26 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def _find(nodes: Array, starts: Rows, quantile: Floats) -> Rows:
-    """Find the leaf at each quantile of the total, ``[B]``; never one of 0."""
-    leaf = np.empty(len(quantile), np.int64)
-    top = starts[-1]
-    total = 0.0
+def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
+    """Find a leaf in each of B equal shares of the total, ``within`` 0..1 of it; never one of 0.
+
+    All go down level by level, so that the memory of many is waited for at once.
+    """
+    top, total = starts[-1], 0.0
     for child in range(_FAN_OUT):
         total += nodes[top + child]
-    for i in range(len(quantile)):
-        rest = quantile[i] * total
-        node = 0
-        for level in range(len(starts) - 1, -1, -1):
-            first = starts[level] + node * _FAN_OUT
-            chosen = 0
+    node, rest = np.zeros(len(within), np.int64), np.empty(len(within), np.float64)
+    for i in range(len(within)):
+        rest[i] = (i + within[i]) * (total / len(within))
+    for level in range(len(starts) - 1, -1, -1):
+        for i in range(len(within)):
+            first, left, chosen = starts[level] + node[i] * _FAN_OUT, rest[i], 0
             for child in range(_FAN_OUT):
                 width = np.float64(nodes[first + child])
                 if width > 0.0:
                     chosen = child
-                    if rest < width:
+                    if left < width:
                         break
-                    rest -= width
-            node = node * _FAN_OUT + chosen
-        leaf[i] = node
-    return leaf
+                    left -= width
+            node[i], rest[i] = node[i] * _FAN_OUT + chosen, left
+    return node
