@@ -15,6 +15,7 @@ from a2s.protocol.errors import UsageError, nearest
 _PAPER = "paper, table 3"
 _BOX = "paper, algorithm 2"
 _SAC = "SAC (Haarnoja et al. 2018), table 1"
+_FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008"
 _UNUSED = "not used here"
 _OURS = "ours, to be tuned"
 
@@ -38,15 +39,15 @@ _MODERN: dict[str, Choice] = {
     "distil_suggestions": Choice(4, "as in the target"),
     "distil_top": Choice(1, "paper, equation 6"),
     "entropy_per_action": Choice(-1.0, _SAC),
-    "initial_temperature": Choice(1.0, "Stable-Baselines3"),
-    "temperature_learning_rate": Choice(3e-4, _SAC),
+    "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
+    "temperature_learning_rate": Choice(1e-3, _FASTER),
     "gamma": Choice(0.99, _SAC),
     "tau": Choice(0.005, _SAC),
     "n_step": Choice(1, _SAC),
     "batch_rows": Choice(256, _SAC),
     "updates_per_step": Choice(1.0, _SAC),
-    "learning_rate": Choice(3e-4, _SAC),
-    "critic_learning_rate": Choice(3e-4, _SAC),
+    "learning_rate": Choice(1e-3, _FASTER),
+    "critic_learning_rate": Choice(1e-3, _FASTER),
     "weight_decay": Choice(0.0, _OURS),
     "warm_up_steps": Choice(5000, "CleanRL; REDQ (Chen et al. 2021)"),
     "replay_rows": Choice(1_000_000, _SAC),
