@@ -4,12 +4,12 @@ On a processor compiled kernels make it in one pass (docs/adr/0007); elsewhere, 
 torch's do.
 """
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from a2s.learner.algorithm import layer_norm_kernels
 from a2s.protocol.fields import Array
 
 LAYER_NORM_EPS = 1e-5
@@ -61,7 +61,7 @@ def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
     if _is_compiled(x):
         out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
         has_bias = affine.bias is not None
-        layer_norm_kernels.forward(
+        _kernels().forward(
             _raw(x), *affine.arrays(), has_bias, relu, LAYER_NORM_EPS, _raw(out), stats.numpy()
         )
         return Normed(x, out, stats)
@@ -89,7 +89,7 @@ def layer_norm_back(
     if _is_compiled(grad):
         through = torch.empty_like(grad)
         gain, _, bias = affine.arrays()
-        layer_norm_kernels.backward(
+        _kernels().backward(
             _raw(grad), _raw(normed.x), _raw(normed.out), normed.stats.numpy(), gain, bias,
             affine.bias is not None, relu, into is not None, _raw(through),
             *(into or affine).arrays(),
@@ -116,6 +116,13 @@ def layer_norm_back(
 
 def _biased(x: Tensor, affine: Affine) -> Tensor:
     return x if affine.bias is None else x + affine.bias
+
+
+@functools.cache
+def _kernels() -> Any:
+    from a2s.learner.algorithm import layer_norm_kernels  # half a second: only who needs it
+
+    return layer_norm_kernels
 
 
 def _is_compiled(x: Tensor) -> bool:
