@@ -103,7 +103,7 @@ def _network_numbers(name: str, ensemble: Ensemble, member: int) -> Numbers:
 
 
 def _matrices(form: Form) -> set[int]:
-    gains = set(form.gains)
+    gains = {norm.gain for norm in form.norms}
     return {index for index in range(0, len(form.shapes), 2) if index not in gains}
 
 

@@ -50,7 +50,7 @@ class Form:
         self.shapes: list[tuple[int, int]] = []
         self.starts: list[int] = []
         self.length = 0
-        self.gains: list[int] = []
+        self.norms: list[Norm] = []
         inputs, *hidden, outputs = sizes
         self.trunk: list[Layer] = []
         if self.late:
@@ -78,12 +78,17 @@ class Form:
             for start, (rows, columns) in zip(self.starts, self.shapes, strict=True)
         ]
 
+    def weights(self, full: list[Tensor], product: list[Tensor]) -> Weights:
+        """The same parameters in both precisions, and those of each normalisation."""
+        return Weights(full, product, {norm.gain: norm.gather(full) for norm in self.norms})
+
     def draw(self, members: int, generator: torch.Generator) -> Tensor:
         """First parameters, ``[E length]``: of Linear uniform in +-1/sqrt(inputs)."""
         flat = torch.zeros(members * self.length)
         views = self.views(flat)
+        gains = {norm.gain for norm in self.norms}
         for index in range(0, len(views), 2):  # weight and bias, or gain and offset
-            if index in self.gains:
+            if index in gains:
                 views[index].fill_(1.0)
                 continue
             limit = 1.0 / math.sqrt(self.shapes[index][0])
@@ -103,8 +108,8 @@ class Form:
     def _norm(self, width: int, *, relu: bool = False, bias: int | None = None) -> list[Layer]:
         if not self.layer_norm:
             return [Relu()] if relu else []
-        self.gains.append(self._add(1, width))
-        return [Norm(self.gains[-1], self._add(1, width), relu=relu, bias=bias)]
+        self.norms.append(Norm(self._add(1, width), self._add(1, width), relu=relu, bias=bias))
+        return [self.norms[-1]]
 
     def _chain(self, rows: int, widths: list[int]) -> tuple[Linear, list[Layer]]:
         """Linear, normalisation and ReLU for each width, and the first of them by itself."""
@@ -161,8 +166,9 @@ class Ensemble:
         """The weights of some members, by their numbers, int64 ``[N]``; gathered, not views."""
         full = [each.index_select(0, index) for each in self.weights.full]
         if self._product is self.value:
-            return Weights(full, full)
-        return Weights(full, [each.index_select(0, index) for each in self.weights.product])
+            return self.form.weights(full, full)
+        product = [each.index_select(0, index) for each in self.weights.product]
+        return self.form.weights(full, product)
 
     def trace(self, x: Tensor) -> tuple[Tensor, Tape]:
         """Map inputs ``[N, in]`` or ``[E, N, in]`` to ``[E, N, out]``.
@@ -218,7 +224,7 @@ class Ensemble:
     def _weights(self, full: Tensor, product: Tensor) -> Weights:
         views = self.form.views(full)
         low = views if product is full else self.form.views(product)
-        return Weights(views, low)
+        return self.form.weights(views, low)
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 import torch
 from torch import Tensor
-from torch.optim.adamw import adamw
 
 BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-8
 
@@ -29,22 +28,12 @@ class FusedAdam:
     @torch.no_grad()
     def step(self, grad: Tensor) -> None:
         """Make one step down a gradient."""
-        adamw(
-            [self._value],
-            [grad],
-            [self._first],
-            [self._second],
-            [],
-            [self._steps],
-            fused=True,
-            amsgrad=False,
-            beta1=BETA_1,
-            beta2=BETA_2,
-            lr=self._learning_rate,
-            weight_decay=self._weight_decay,
-            eps=EPS,
-            maximize=False,
-        )
+        self._steps.add_(1.0)
+        torch._fused_adamw_(  # torch.optim's way to it costs a third of its time
+            [self._value], [grad], [self._first], [self._second], [], [self._steps],
+            lr=self._learning_rate, beta1=BETA_1, beta2=BETA_2, weight_decay=self._weight_decay,
+            eps=EPS, amsgrad=False, maximize=False,
+        )  # fmt: skip
 
     def tensors(self) -> dict[str, Tensor]:
         """Moments and number of steps, not copied."""

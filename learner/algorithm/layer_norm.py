@@ -4,6 +4,7 @@ On a processor compiled kernels make it in one pass (docs/adr/0007); elsewhere, 
 torch's do.
 """
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -16,10 +17,11 @@ LAYER_NORM_EPS = 1e-5
 _aten = torch.ops.aten
 
 
-class Affine(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Affine:
     """Parameters, or the gradients by them: float32 unless what is normalised is float64.
 
-    Attributes:
+    Args:
         gain: ``[E, 1, W]``.
         offset: ``[E, 1, W]``.
         bias: Added before normalisation, ``[E, 1, W]``, or ``None``.
@@ -29,8 +31,9 @@ class Affine(NamedTuple):
     offset: Tensor
     bias: Tensor | None
 
+    @functools.cached_property
     def arrays(self) -> tuple[Array, Array, Array]:
-        """All three; the gain again where there is no bias, which is then not looked at."""
+        """All three in the same memory; where there is no bias the gain, which nothing reads."""
         gain = self.gain.numpy()
         return gain, self.offset.numpy(), gain if self.bias is None else self.bias.numpy()
 
@@ -42,11 +45,13 @@ class Normed(NamedTuple):
         x: What was given, ``[E, N, W]``.
         out: What came out, ``[E, N, W]``.
         stats: Mean of each row, and one over its standard deviation, ``[2, E, N]``.
+        arrays: The same three as arrays, if the kernels made them.
     """
 
     x: Tensor
     out: Tensor
     stats: Tensor
+    arrays: tuple[Array, Array, Array] | None
 
 
 def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
@@ -60,17 +65,16 @@ def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
     x = x.contiguous()
     if _is_compiled(x):
         out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
+        arrays = _raw(x), _raw(out), stats.numpy()
         has_bias = affine.bias is not None
-        _kernels().forward(
-            _raw(x), *affine.arrays(), has_bias, relu, LAYER_NORM_EPS, _raw(out), stats.numpy()
-        )
-        return Normed(x, out, stats)
+        _kernels().forward(arrays[0], *affine.arrays, has_bias, relu, LAYER_NORM_EPS, *arrays[1:])
+        return Normed(x, out, stats, arrays)
     made = [
         torch.native_layer_norm(rows, rows.shape[-1:], gain[0], offset[0], LAYER_NORM_EPS)
         for rows, gain, offset in zip(_biased(x, affine), affine.gain, affine.offset, strict=True)
     ]
     out, mean, rstd = (torch.stack(part) for part in zip(*made, strict=True))
-    return Normed(x, out.relu_() if relu else out, torch.stack([mean, rstd]).squeeze(-1))
+    return Normed(x, out.relu_() if relu else out, torch.stack([mean, rstd]).squeeze(-1), None)
 
 
 def layer_norm_back(
@@ -86,13 +90,12 @@ def layer_norm_back(
         into: Where the gradients by the parameters are written; ``None``: they are not wanted.
     """
     grad = grad.contiguous()
-    if _is_compiled(grad):
+    if normed.arrays is not None:
         through = torch.empty_like(grad)
-        gain, _, bias = affine.arrays()
+        gain, _, bias = affine.arrays
         _kernels().backward(
-            _raw(grad), _raw(normed.x), _raw(normed.out), normed.stats.numpy(), gain, bias,
-            affine.bias is not None, relu, into is not None, _raw(through),
-            *(into or affine).arrays(),
+            _raw(grad), *normed.arrays, gain, bias, affine.bias is not None, relu,
+            into is not None, _raw(through), *(into or affine).arrays,
         )  # fmt: skip
         return through
     if relu:

@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import types
-from numba.extending import overload
+from numba.extending import intrinsic, overload
 
 from a2s.protocol.fields import Array
 
@@ -21,7 +21,7 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def forward(  # noqa: C901 - its loops are the branches
+def forward(
     x: Array, gain: Array, offset: Array, bias: Array, has_bias: bool, relu: bool, eps: float,
     out: Array, stats: Array,
 ) -> None:  # fmt: skip
@@ -39,17 +39,19 @@ def forward(  # noqa: C901 - its loops are the branches
         stats: Written.
     """
     members, rows, width = x.shape
-    bits = np.empty(width, _U)
-    row = bits.view(_F)
+    row = np.empty(width, _F)
+    least = _ZERO if relu else _F(-np.inf)
     for e in range(members):
         for n in range(rows):
-            _read(x, e, n, bits, row)
+            mean = _ZERO
             if has_bias:
                 for j in range(width):
-                    row[j] += bias[e, 0, j]
-            mean = _ZERO
-            for j in range(width):
-                mean += row[j]
+                    row[j] = _read(x, e, n, j) + bias[e, 0, j]
+                    mean += row[j]
+            else:
+                for j in range(width):
+                    row[j] = _read(x, e, n, j)
+                    mean += row[j]
             mean /= _F(width)
             squares = _ZERO
             for j in range(width):
@@ -58,11 +60,8 @@ def forward(  # noqa: C901 - its loops are the branches
             rstd = _ONE / np.sqrt(squares / _F(width) + _F(eps))
             stats[0, e, n], stats[1, e, n] = mean, rstd
             for j in range(width):
-                row[j] = (row[j] - mean) * rstd * gain[e, 0, j] + offset[e, 0, j]
-            if relu:
-                for j in range(width):
-                    row[j] = row[j] if row[j] > _ZERO else _ZERO
-            _write(out, e, n, bits, row)
+                affine = (row[j] - mean) * rstd * gain[e, 0, j] + offset[e, 0, j]
+                _write(out, e, n, j, least if affine < least else affine)
 
 
 @_compiled  # type: ignore[untyped-decorator]
@@ -88,77 +87,85 @@ def backward(  # noqa: C901 - its loops are the branches
         by_bias: ``[E, 1, W]``.
     """
     members, rows, width = x.shape
-    bits, grad_bits, out_bits = np.empty(width, _U), np.empty(width, _U), np.empty(width, _U)
-    row, by_out, passed = bits.view(_F), grad_bits.view(_F), out_bits.view(_F)
+    row, by_out, shift = np.empty(width, _F), np.empty(width, _F), np.zeros(width, _F)
+    by_shift = np.empty(width, _F)
+    least = _ZERO if relu else _F(-np.inf)
     if wanted:
         by_gain[:] = _ZERO
         by_offset[:] = _ZERO
-        if has_bias:
-            by_bias[:] = _ZERO
     for e in range(members):
+        by_shift[:] = _ZERO
+        if has_bias:
+            shift[:] = bias[e, 0]
         for n in range(rows):
             mean, rstd = stats[0, e, n], stats[1, e, n]
-            _read(x, e, n, bits, row)
-            if has_bias:
-                for j in range(width):
-                    row[j] += bias[e, 0, j]
-            _read(grad, e, n, grad_bits, by_out)
-            if relu:
-                _read(out, e, n, out_bits, passed)
-                for j in range(width):
-                    by_out[j] = by_out[j] if passed[j] > _ZERO else _ZERO
             along, across = _ZERO, _ZERO
             for j in range(width):
-                normal = (row[j] - mean) * rstd
+                through = _read(grad, e, n, j)
+                by_out[j] = _ZERO if _read(out, e, n, j) <= least else through
+                row[j] = (_read(x, e, n, j) + shift[j] - mean) * rstd
                 scaled = by_out[j] * gain[e, 0, j]
-                row[j] = normal
                 across += scaled
-                along += scaled * normal
-            if wanted:
-                for j in range(width):
-                    by_gain[e, 0, j] += by_out[j] * row[j]
-                for j in range(width):
-                    by_offset[e, 0, j] += by_out[j]
+                along += scaled * row[j]
             across /= _F(width)
             along /= _F(width)
-            for j in range(width):
-                row[j] = rstd * (by_out[j] * gain[e, 0, j] - across - row[j] * along)
-            if wanted and has_bias:
+            if not wanted:
                 for j in range(width):
-                    by_bias[e, 0, j] += row[j]
-            _write(by_input, e, n, bits, row)
+                    scaled = by_out[j] * gain[e, 0, j]
+                    _write(by_input, e, n, j, rstd * (scaled - across - row[j] * along))
+                continue
+            for j in range(width):
+                by_gain[e, 0, j] += by_out[j] * row[j]
+                by_offset[e, 0, j] += by_out[j]
+                made = rstd * (by_out[j] * gain[e, 0, j] - across - row[j] * along)
+                by_shift[j] += made
+                _write(by_input, e, n, j, made)
+        if wanted and has_bias:
+            by_bias[e, 0] = by_shift
 
 
-def _read(x: Array, e: int, n: int, bits: Any, row: Array) -> None:
-    """Copy a row to ``row``, float32, whose memory is that of ``bits``, uint32."""
+def _read(x: Array, e: int, n: int, j: int) -> Any:
+    """Give a number of a row as float32."""
 
 
-def _write(x: Array, e: int, n: int, bits: Any, row: Array) -> None:
-    """Copy it back."""
+def _write(x: Array, e: int, n: int, j: int, value: Any) -> None:
+    """Put a float32 back."""
 
 
-@overload(_read)  # type: ignore[untyped-decorator]
-def _reader(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-    def bfloat16(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-        for j in range(len(bits)):  # it is the upper half of a float32
-            bits[j] = _U(x[e, n, j]) << _U(16)
+@overload(_read, inline="always")  # type: ignore[untyped-decorator]
+def _reader(x: Any, e: Any, n: Any, j: Any) -> Any:
+    def bfloat16(x: Any, e: Any, n: Any, j: Any) -> Any:
+        return _as_float(_U(x[e, n, j]) << _U(16))  # it is the upper half of a float32
 
-    def float32(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-        for j in range(len(row)):
-            row[j] = x[e, n, j]
+    def float32(x: Any, e: Any, n: Any, j: Any) -> Any:
+        return x[e, n, j]
+
+    return bfloat16 if x.dtype == types.uint16 else float32
+
+
+@overload(_write, inline="always")  # type: ignore[untyped-decorator]
+def _writer(x: Any, e: Any, n: Any, j: Any, value: Any) -> Any:
+    def bfloat16(x: Any, e: Any, n: Any, j: Any, value: Any) -> Any:
+        b = _as_bits(value)  # to the nearest, and to the even one of two that are as near
+        x[e, n, j] = np.uint16((b + _U(0x7FFF) + ((b >> _U(16)) & _U(1))) >> _U(16))
+
+    def float32(x: Any, e: Any, n: Any, j: Any, value: Any) -> Any:
+        x[e, n, j] = value
 
     return bfloat16 if x.dtype == types.uint16 else float32
 
 
-@overload(_write)  # type: ignore[untyped-decorator]
-def _writer(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-    def bfloat16(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-        for j in range(len(bits)):  # to the nearest, and to the even one of two that are as near
-            b = bits[j]
-            x[e, n, j] = np.uint16((b + _U(0x7FFF) + ((b >> _U(16)) & _U(1))) >> _U(16))
+@intrinsic  # type: ignore[untyped-decorator]
+def _as_float(_: Any, __: Any) -> Any:
+    """Read 32 bits as a number."""
+    return types.float32(types.uint32), _same_bits
 
-    def float32(x: Any, e: Any, n: Any, bits: Any, row: Any) -> Any:
-        for j in range(len(row)):
-            x[e, n, j] = row[j]
 
-    return bfloat16 if x.dtype == types.uint16 else float32
+@intrinsic  # type: ignore[untyped-decorator]
+def _as_bits(_: Any, __: Any) -> Any:
+    """Read a number as its 32 bits."""
+    return types.uint32(types.float32), _same_bits
+
+
+def _same_bits(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))

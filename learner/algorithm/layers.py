@@ -22,10 +22,12 @@ class Weights(NamedTuple):
     Attributes:
         full: Each ``[E, rows, columns]``, float32.
         product: The same in the precision of matrix products.
+        affine: Those of a normalisation together, by the number of its gain.
     """
 
     full: list[Tensor]
     product: list[Tensor]
+    affine: dict[int, Affine]
 
 
 class Layer(Protocol):
@@ -123,18 +125,19 @@ class Norm:
 
     def forward(self, weights: Weights, x: Tensor) -> tuple[Tensor, Normed]:
         """Normalise over the last dimension."""
-        normed = layer_norm(x, self._of(weights), relu=self.relu)
+        normed = layer_norm(x, weights.affine[self.gain], relu=self.relu)
         return normed.out, normed
 
     def backward(
         self, weights: Weights, grads: Weights | None, seen: Normed, grad: Tensor
     ) -> Tensor:
         """Go through the normalisation."""
-        into = None if grads is None else self._of(grads)
-        return layer_norm_back(seen, grad, self._of(weights), relu=self.relu, into=into)
+        affine = weights.affine[self.gain]
+        into = None if grads is None else grads.affine[self.gain]
+        return layer_norm_back(seen, grad, affine, relu=self.relu, into=into)
 
-    def _of(self, weights: Weights) -> Affine:
-        full = weights.full
+    def gather(self, full: list[Tensor]) -> Affine:
+        """Its parameters."""
         bias = None if self.bias is None else full[self.bias]
         return Affine(full[self.gain], full[self.offset], bias)
 

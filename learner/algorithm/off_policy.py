@@ -24,7 +24,7 @@ from a2s.learner.algorithm.off_policy_suggester import (
     OffPolicySuggesterMode,
 )
 from a2s.learner.algorithm.policy_steps import PolicyStep, distil, pathwise, score
-from a2s.learner.algorithm.squashed import Gaussian, gaussian, log_density
+from a2s.learner.algorithm.squashed import Drawn, Gaussian, draw, gaussian, log_density
 from a2s.learner.algorithm.transitions import Transitions
 
 
@@ -138,13 +138,12 @@ class OffPolicy:
         obs, next_obs = learned.normaliser(batch.obs), learned.normaliser(batch.next_obs)
         output, tape = learned.policy.trace(obs)
         policy = gaussian(output[0])
-        u = policy.mean + policy.log_std.exp() * noise.suggestion
-        log_prob = log_density(u, noise.suggestion, policy.log_std)
+        drawn = draw(policy, noise.suggestion)
         temperature = learned.log_temperature.exp()
-        self._learn_temperature(log_prob)
+        self._learn_temperature(drawn.log_prob)
         target = self._target(batch, next_obs, noise, temperature)
         fit, q_mean = self._learn_critics(obs, batch, target)
-        moved, distilled = self._policy_steps(obs, policy, u, noise, temperature)
+        moved, distilled = self._policy_steps(obs, policy, drawn, noise, temperature)
         grad = moved.grad
         if distilled is not None:
             grad = grad + self.hyper.distil_weight * distilled.grad
@@ -159,7 +158,7 @@ class OffPolicy:
             distil_loss=distilled.loss if distilled is not None else torch.zeros_like(moved.loss),
             q_mean=q_mean,
             target_mean=target.mean(),
-            entropy=-log_prob.mean(),
+            entropy=-drawn.log_prob.mean(),
             temperature=learned.log_temperature.exp(),
             error=fit.error,
         )
@@ -230,7 +229,7 @@ class OffPolicy:
         return fit, q_value.mean()
 
     def _policy_steps(
-        self, obs: Tensor, policy: Gaussian, u: Tensor, noise: Noise, temperature: Tensor
+        self, obs: Tensor, policy: Gaussian, drawn: Drawn, noise: Noise, temperature: Tensor
     ) -> tuple[PolicyStep, PolicyStep | None]:
         """The policy gradient, and equation 6 where it has any weight, by the learned critics."""
         hyper, distilled = self.hyper, None
@@ -241,8 +240,8 @@ class OffPolicy:
                 distilled = distil(policy, noise.distil, q_value, hyper.distil_top)
             if hyper.policy_loss == "score":
                 return score(policy, noise.distil, q_value, temperature), distilled
-        value, by_action = self._value_of(obs, u.tanh())
-        return pathwise(policy, noise.suggestion, value, by_action, temperature), distilled
+        value, by_action = self._value_of(obs, drawn.action)
+        return pathwise(policy, drawn, value, by_action, temperature), distilled
 
     def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.

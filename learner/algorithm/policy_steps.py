@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.algorithm.policy_gradient import advantage_over_others
-from a2s.learner.algorithm.squashed import Gaussian, log_density
+from a2s.learner.algorithm.squashed import Drawn, Gaussian, log_density
 
 
 class PolicyStep(NamedTuple):
@@ -21,25 +21,22 @@ class PolicyStep(NamedTuple):
 
 
 def pathwise(
-    policy: Gaussian, normal: Tensor, q_value: Tensor, by_action: Tensor, temperature: Tensor
+    policy: Gaussian, drawn: Drawn, q_value: Tensor, by_action: Tensor, temperature: Tensor
 ) -> PolicyStep:
     """Move the one suggestion of every state along the gradient of Q: SAC's loss.
 
     Args:
         policy: Of the states.
-        normal: Noise of the suggestion, ``[B, A]``.
-        q_value: Its value, ``[B]``.
+        drawn: The suggestions.
+        q_value: Their values, ``[B]``.
         by_action: Gradient of the sum of the values by the suggestions, ``[B, A]``.
         temperature: Weight of the entropy, ``[]``.
     """
-    noise = policy.log_std.exp() * normal
-    u = policy.mean + noise
-    action = u.tanh()
-    share = temperature / len(u)
-    by_u = 2.0 * share * action - by_action * (1.0 - action.square()) / len(u)
-    grad = torch.cat([by_u, (by_u * noise - share) * policy.free], dim=-1)
-    loss = (temperature * log_density(u, normal, policy.log_std) - q_value).mean()
-    return PolicyStep(loss, grad)
+    action, rows = drawn.action, len(drawn.action)
+    share = temperature / rows
+    by_u = 2.0 * share * action - by_action * ((1.0 - action.square()) / rows)
+    grad = torch.cat([by_u, (by_u * drawn.noise - share) * policy.free], dim=-1)
+    return PolicyStep((temperature * drawn.log_prob - q_value).mean(), grad)
 
 
 def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor) -> PolicyStep:

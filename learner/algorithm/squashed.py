@@ -14,7 +14,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 LOG_STD_LEAST, LOG_STD_MOST = -10.0, 2.0
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+_CONSTANT = 0.5 * math.log(2.0 * math.pi) + 2.0 * math.log(2.0)
 
 
 class Gaussian(NamedTuple):
@@ -39,6 +39,27 @@ def gaussian(output: Tensor) -> Gaussian:
     return Gaussian(mean, log_std, (raw == log_std).to(raw.dtype))
 
 
+class Drawn(NamedTuple):
+    """One suggestion a state.
+
+    Attributes:
+        noise: ``std * normal``, ``[B, A]``.
+        action: ``tanh(mean + noise)``, ``[B, A]``.
+        log_prob: Its log density, ``[B]``.
+    """
+
+    noise: Tensor
+    action: Tensor
+    log_prob: Tensor
+
+
+def draw(policy: Gaussian, normal: Tensor) -> Drawn:
+    """Suggest one action a state, with noise that was drawn before, ``[B, A]``."""
+    noise = policy.log_std.exp() * normal
+    u = policy.mean + noise
+    return Drawn(noise, u.tanh(), log_density(u, normal, policy.log_std))
+
+
 def log_density(u: Tensor, normal: Tensor, log_std: Tensor) -> Tensor:
     """Log density of ``tanh(u)``, summed over the action's dimensions.
 
@@ -51,5 +72,5 @@ def log_density(u: Tensor, normal: Tensor, log_std: Tensor) -> Tensor:
         ``[...]``. ``log(1 - tanh(u)^2)`` is written ``2 (log 2 - u - softplus(-2 u))``, which is
         exact for large u too.
     """
-    squeezed = 2.0 * (math.log(2.0) - u - F.softplus(-2.0 * u))
-    return (-0.5 * normal.square() - log_std - _HALF_LOG_2PI - squeezed).sum(-1)
+    half = (u + F.softplus(-2.0 * u)).sub_(log_std, alpha=0.5).addcmul_(normal, normal, value=-0.25)
+    return 2.0 * half.sum(-1) - u.shape[-1] * _CONSTANT

@@ -1,5 +1,7 @@
 """Layer normalisation with gain, offset and a cut at 0, against autograd in float64."""
 
+import dataclasses
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -34,7 +36,8 @@ def autograd(x: Tensor, affine: Affine, grad: Tensor) -> tuple[Tensor, ...]:
 
 def tensors(affine: Affine) -> list[Tensor]:
     """Those that are there."""
-    return [each for each in affine if each is not None]
+    every = (affine.gain, affine.offset, affine.bias)
+    return [each for each in every if each is not None]
 
 
 def assert_close(found: Tensor, wanted: Tensor, tolerance: float) -> None:
@@ -61,16 +64,17 @@ def test_values_and_gradients_are_those_of_autograd(
     x, grad = (torch.randn(shape, generator=generator).to(kind) for _ in range(2))
     affine = drawn(shape[0], shape[2], kind, generator)
     into = Affine(*(torch.full_like(each, torch.nan) for each in tensors(affine)))
-    without = affine._replace(bias=torch.zeros_like(affine.gain))
+    without = dataclasses.replace(affine, bias=torch.zeros_like(affine.gain))
     if not biased:
-        affine, into = affine._replace(bias=None), into._replace(bias=None)
+        affine, into = dataclasses.replace(affine, bias=None), dataclasses.replace(into, bias=None)
     normed = layer_norm(x, affine, relu=relu)
     through = layer_norm_back(normed, grad, affine, relu=relu, into=into)
     assert normed.out.dtype == through.dtype == kind
     kept = grad * (normed.out > 0) if relu else grad  # rounding may decide what is cut
     out, by_x, *by_affine = autograd(x, affine if biased else without, kept)
     assert_close(normed.out, out.relu() if relu else out, EXACT[kind])
-    assert_close(through, by_x, EXACT[kind])
+    steepest = float(normed.stats[1].max().clamp(min=1.0))  # it multiplies rounding too
+    assert_close(through, by_x, EXACT[kind] * steepest)
     for found, wanted in zip(tensors(into), by_affine, strict=False):
         assert_close(found, wanted, 1e-2 if kind == torch.bfloat16 else 1e-4)
 

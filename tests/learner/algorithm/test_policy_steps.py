@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.algorithm.policy_steps import distil, pathwise, score
-from a2s.learner.algorithm.squashed import Gaussian, gaussian, log_density
+from a2s.learner.algorithm.squashed import Gaussian, draw, gaussian, log_density
 
 
 def worth(action: Tensor) -> Tensor:
@@ -32,7 +32,11 @@ def test_pathwise_gradient_is_that_of_autograd() -> None:
     assert action.grad is not None
     free = Gaussian(*(each.detach() for each in policy))
     found = pathwise(
-        free, normal, worth(action).detach(), action.grad, torch.tensor(0.3, dtype=torch.float64)
+        free,
+        draw(free, normal),
+        worth(action).detach(),
+        action.grad,
+        torch.tensor(0.3, dtype=torch.float64),
     )
     assert raw.grad is not None
     torch.testing.assert_close(found.loss, loss.detach())
@@ -67,7 +71,8 @@ def test_score_and_pathwise_agree_on_average() -> None:
     assert action.grad is not None
     several = (policy.mean[:, None] + policy.log_std.exp()[:, None] * normal).tanh()
     for temperature in (torch.tensor(0.0), torch.tensor(0.5)):
-        by_path = pathwise(policy, normal[:, 0], worth(action).detach(), action.grad, temperature)
+        drawn = draw(policy, normal[:, 0])
+        by_path = pathwise(policy, drawn, worth(action).detach(), action.grad, temperature)
         by_score = score(policy, normal, worth(several), temperature)
         one, other = by_path.grad.sum(0), by_score.grad.sum(0)
         torch.testing.assert_close(one, other, rtol=0.05, atol=0.03)
