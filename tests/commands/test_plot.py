@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.commands.plot import identity, mean_over_seeds, plot, smooth
+from a2s.commands.plot import identity, on_a_grid, plot, smooth
 from a2s.protocol.errors import UsageError
 
 
@@ -25,12 +25,12 @@ def test_the_moving_average_is_centred_and_shorter_at_the_ends() -> None:
     assert smooth(np.array([0.0, 3.0, 6.0, 0.0])).tolist() == [1.5, 3.0, 3.0, 3.0]
 
 
-def test_the_mean_is_over_seeds_not_over_episodes() -> None:
+def test_the_curves_of_seeds_share_a_grid() -> None:
     """A seed with many short episodes weighs no more than one with few long ones."""
     many = np.arange(1.0, 1001.0), np.full(1000, 10.0)
     few = np.linspace(10.0, 1000.0, 100), np.full(100, 20.0)
-    steps, mean = mean_over_seeds([many, few])
-    assert np.allclose(mean, 15.0)
+    steps, returns = on_a_grid([many, few])
+    assert np.allclose(returns, [[10.0], [20.0]])
     assert (steps[0], steps[-1]) == (5.0, 995.0)
 
 

@@ -47,12 +47,12 @@ def smooth(values: Curve, window: int = _WINDOW) -> Curve:
     return np.array([values[max(0, i - reach) : i + reach + 1].mean() for i in range(len(values))])
 
 
-def mean_over_seeds(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
-    """Average curves over a common grid, then smooth.
+def on_a_grid(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
+    """Average the episodes of each seed between the points of a common grid.
 
     Returns:
-        Steps and mean return, each ``[100]``; where a curve has no episode between two points of
-        the grid, it counts with its value interpolated.
+        Steps ``[100]``, and returns ``[S, 100]``; where a seed has no episode between two points
+        of the grid, its value is interpolated.
     """
     last = min(steps[-1] for steps, _ in curves)
     edges = np.linspace(0.0, last, _POINTS + 1)
@@ -65,7 +65,7 @@ def mean_over_seeds(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
         count = np.bincount(place[within], minlength=_POINTS)
         filled = count > 0
         binned.append(np.interp(centres, centres[filled], total[filled] / count[filled]))
-    return centres, smooth(np.mean(binned, axis=0))
+    return centres, np.array(binned)
 
 
 def plot(runs: list[Path], output: Path) -> None:
@@ -78,21 +78,22 @@ def plot(runs: list[Path], output: Path) -> None:
     for run in runs:
         env, label = identity(run)
         panels.setdefault(env, {}).setdefault(label, []).append(read_curve(run))
-    figure, axes = plt.subplots(1, len(panels), figsize=(6 * len(panels), 4.2), squeeze=False)
+    rows = max(map(len, panels.values()))
+    size = (6 * len(panels), 4.2 + 0.25 * rows)
+    figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
     for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for index, (label, curves) in enumerate(sorted(groups.items())):
             colour = f"C{index}"
-            for steps, returns in curves:
-                axis.plot(steps, returns, color=colour, alpha=0.25, linewidth=0.6)
             seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
-            mean = mean_over_seeds(curves)
-            axis.plot(*mean, color=colour, linewidth=2.0, label=f"{label} ({seeds})")
+            steps, returns = on_a_grid(curves)
+            axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
+            mean = smooth(returns.mean(0))
+            axis.plot(steps, mean, color=colour, linewidth=2.0, label=f"{label} ({seeds})")
         axis.set_title(env)
         axis.set_xlabel("environment steps")
         axis.set_ylabel("training return of an episode")
         axis.grid(alpha=0.3)
-        axis.legend(loc="upper left")
-    figure.tight_layout()
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(output, dpi=120)
