@@ -11,6 +11,9 @@ from a2s.learner.replay.transitions import Floats, Rows
 from a2s.protocol.fields import Array
 
 _FAN_OUT = 16
+# Unsigned: a signed index is compared with 0 before every use, for it may count from the end.
+_UNSIGNED = np.uintp
+_1, _2, _4, _8 = _UNSIGNED(1), _UNSIGNED(2), _UNSIGNED(4), _UNSIGNED(8)
 
 # Compiled once and kept on the disk; no array is copied, and the interpreter is free meanwhile.
 _compiled = numba.njit(cache=True, nogil=True)
@@ -78,13 +81,18 @@ def _sum_of(nodes: Array, first: int) -> np.float32:
 
 @_compiled  # type: ignore[untyped-decorator]
 def _assign(nodes: Array, starts: Rows, leaf: Rows, value: Array) -> None:
+    """Set leaves, then their ancestors; of neighbours with one parent, it is made once."""
     for i in range(len(leaf)):
         nodes[leaf[i]] = value[i]
-    for i in range(len(leaf)):
-        node = leaf[i]
-        for level in range(len(starts) - 1):
-            node //= _FAN_OUT
-            nodes[starts[level + 1] + node] = _sum_of(nodes, starts[level] + node * _FAN_OUT)
+    size = 1
+    for level in range(len(starts) - 1):
+        size *= _FAN_OUT
+        last = -1
+        for i in range(len(leaf)):
+            node = leaf[i] // size
+            if node != last:
+                nodes[starts[level + 1] + node] = _sum_of(nodes, starts[level] + node * _FAN_OUT)
+            last = node
 
 
 @_compiled  # type: ignore[untyped-decorator]
@@ -98,26 +106,50 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 
 @_compiled  # type: ignore[untyped-decorator]
+def _two(nodes: Array, first: int) -> np.float64:
+    return np.float64(nodes[first]) + np.float64(nodes[first + _1])
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _four(nodes: Array, first: int) -> np.float64:
+    total: np.float64 = _two(nodes, first) + _two(nodes, first + _2)
+    return total
+
+
+@_compiled  # type: ignore[untyped-decorator]
 def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
     """Find a leaf in each of B equal shares of the total, ``within`` 0..1 of it; never one of 0.
 
-    All go down level by level, so that the memory of many is waited for at once.
+    All go down level by level, so that the memory of many is waited for at once. In a node the
+    children are halved four times, without a branch that a processor would have to guess: the
+    upper half is taken if what is left reaches beyond the lower, and there is anything in it.
     """
     top, total = starts[-1], 0.0
     for child in range(_FAN_OUT):
         total += nodes[top + child]
-    node, rest = np.zeros(len(within), np.int64), np.empty(len(within), np.float64)
+    found, rest = np.zeros(len(within), np.int64), np.empty(len(within), np.float64)
     for i in range(len(within)):
         rest[i] = (i + within[i]) * (total / len(within))
     for level in range(len(starts) - 1, -1, -1):
         for i in range(len(within)):
-            first, left, chosen = starts[level] + node[i] * _FAN_OUT, rest[i], 0
-            for child in range(_FAN_OUT):
-                width = np.float64(nodes[first + child])
-                if width > 0.0:
-                    chosen = child
-                    if left < width:
-                        break
-                    left -= width
-            node[i], rest[i] = node[i] * _FAN_OUT + chosen, left
-    return node
+            first, left = _UNSIGNED(starts[level] + found[i] * _FAN_OUT), rest[i]
+            at = first
+            a, b = _four(nodes, at), _four(nodes, at + _4)
+            c, d = _four(nodes, at + _8), _four(nodes, at + _8 + _4)
+            upper = (left >= a + b) & (c + d > 0.0)
+            left -= a + b if upper else 0.0
+            at += _8 if upper else _UNSIGNED(0)
+            lower, higher = c if upper else a, d if upper else b
+            upper = (left >= lower) & (higher > 0.0)
+            left -= lower if upper else 0.0
+            at += _4 if upper else _UNSIGNED(0)
+            lower = _two(nodes, at)
+            upper = (left >= lower) & (_two(nodes, at + _2) > 0.0)
+            left -= lower if upper else 0.0
+            at += _2 if upper else _UNSIGNED(0)
+            lower = np.float64(nodes[at])
+            upper = (left >= lower) & (nodes[at + _1] > 0.0)
+            left -= lower if upper else 0.0
+            at += _1 if upper else _UNSIGNED(0)
+            found[i], rest[i] = found[i] * _FAN_OUT + np.int64(at - first), left
+    return found

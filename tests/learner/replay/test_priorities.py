@@ -9,6 +9,7 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 from a2s.learner.replay import directory
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.sum_tree import SumTree
+from a2s.learner.replay.transitions import Floats
 
 
 def filled(replay: Replay, steps: int) -> Replay:
@@ -31,6 +32,27 @@ def test_leaves_are_drawn_in_proportion(size: int, rng: np.random.Generator) -> 
         share = np.bincount(group, weights=leaves, minlength=16) / leaves.sum(dtype=np.float64)
         found = np.bincount(group[drawn], minlength=16) / len(drawn)
         assert found == pytest.approx(share, abs=0.006)  # four standard deviations, at most
+
+
+class AtTheEnd(np.random.Generator):
+    """Always says the largest number that it can."""
+
+    def random(self, size: int) -> Floats:  # type: ignore[override]
+        """As its base, but not at random."""
+        return np.full(size, np.nextafter(1.0, 0.0))
+
+
+@pytest.mark.parametrize("empty", range(1, 16))
+@pytest.mark.parametrize("shares", [1, 7, 64])
+def test_a_leaf_of_zero_is_not_drawn_where_sums_were_rounded_up(empty: int, shares: int) -> None:
+    """At the end of a share, with nothing behind it in a node, or in the node above."""
+    end = AtTheEnd(np.random.PCG64())
+    place = np.arange(4096)
+    for within in (place % 16, place // 16 % 16, place // 256):
+        for seed in range(20):
+            leaves = np.random.default_rng(seed).random(4096, dtype=np.float32)
+            leaves[within >= 16 - empty] = 0.0
+            assert (leaves[SumTree(leaves).draw(shares, end)] > 0).all()
 
 
 @settings(deadline=None)
