@@ -9,6 +9,9 @@ REFERENCE = "sb3-sac"
 _OFF = ("--variant", "off-policy", "--set", "precision=bf16")
 _SAC = (*_OFF, "--preset", "sac")
 
+# One of both is varied at a time, and then both together.
+_SUGGESTIONS = ((1, 1), (4, 1), (10, 1), (1, 4), (1, 10), (4, 4), (10, 10))
+
 
 def _k(act: int, target: int) -> tuple[str, ...]:
     return (*_SAC, "--set", f"act_suggestions={act}", "--set", f"target_suggestions={target}")
@@ -27,11 +30,9 @@ LABELS: dict[str, tuple[str, ...]] = {
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "sac": _SAC,
-    **{
-        f"act-{act}-target-{target}": _k(act, target) for act in (1, 4, 10) for target in (1, 4, 10)
-    },
-    "no-obs-norm": (*_OFF, "--set", "normalise_obs=false"),
-    "no-layer-norm": (*_OFF, "--set", "layer_norm=false"),
+    **{f"act-{act}-target-{target}": _k(act, target) for act, target in _SUGGESTIONS},
+    "no-obs-norm": (*_SAC, "--set", "normalise_obs=false"),
+    "no-layer-norm": (*_SAC, "--set", "layer_norm=false"),
 }
 # What the authors had: one environment.
 _ONE_ENV = ("authors", "authors-a2c")
@@ -92,8 +93,7 @@ SUITES = {
         "off_policy",
         _ABLATED,
         (
-            *(f"act-{act}-target-{target}" for act in (1, 4, 10) for target in (1, 4, 10)),
-            "off-policy",
+            *(f"act-{act}-target-{target}" for act, target in _SUGGESTIONS),
             "no-obs-norm",
             "no-layer-norm",
         ),
