@@ -10,13 +10,13 @@ _OFF = ("--variant", "off-policy", "--set", "precision=bf16")
 _SAC = (*_OFF, "--preset", "sac")
 
 # One of both is varied at a time, and then both together.
-_SUGGESTIONS = ((1, 1), (4, 1), (10, 1), (1, 4), (1, 10), (4, 4), (10, 10))
-
-
-def _k(act: int, target: int) -> tuple[str, ...]:
-    return (*_SAC, "--set", f"act_suggestions={act}", "--set", f"target_suggestions={target}")
-
-
+_BEST_OF_K = {
+    f"act-{act}-target-{target}": (
+        *(*_SAC, "--set", f"act_suggestions={act}"),
+        *("--set", f"target_suggestions={target}"),
+    )
+    for act, target in ((1, 1), (4, 1), (10, 1), (1, 4), (1, 10), (4, 4), (10, 10))
+}
 LABELS: dict[str, tuple[str, ...]] = {
     "modern": (),
     "a2c": ("--algo", "a2c"),
@@ -30,7 +30,7 @@ LABELS: dict[str, tuple[str, ...]] = {
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "sac": _SAC,
-    **{f"act-{act}-target-{target}": _k(act, target) for act, target in _SUGGESTIONS},
+    **_BEST_OF_K,
     "no-obs-norm": (*_SAC, "--set", "normalise_obs=false"),
     "no-layer-norm": (*_SAC, "--set", "layer_norm=false"),
 }
@@ -92,11 +92,7 @@ SUITES = {
     "best-of-k": Suite(
         "off_policy",
         _ABLATED,
-        (
-            *(f"act-{act}-target-{target}" for act, target in _SUGGESTIONS),
-            "no-obs-norm",
-            "no-layer-norm",
-        ),
+        (*_BEST_OF_K, "no-obs-norm", "no-layer-norm"),
         (0, 1),
         50_000,
         1,

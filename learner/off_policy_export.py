@@ -14,7 +14,7 @@ from a2s.learner.algorithm.ensemble import Ensemble, Form, Network
 from a2s.learner.algorithm.layer_norm import LAYER_NORM_EPS
 from a2s.learner.algorithm.layers import Layer, Linear, Norm, Relu, Residual
 from a2s.learner.algorithm.off_policy_suggester import OffPolicySuggester
-from a2s.learner.algorithm.squashed import LOG_STD_LEAST, LOG_STD_MOST
+from a2s.learner.algorithm.squashed import LOG_NORM, LOG_STD_LEAST, LOG_STD_MOST
 from a2s.learner.graph import Nodes, Numbers, as_array, common_numbers, constant, fill, own_metadata
 
 
@@ -77,7 +77,7 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         "two": constant(2.0),
         "minus_one": constant(-1.0),
         "plus_one": constant(1.0),
-        "log_norm": constant([len(low) * (0.5 * math.log(2.0 * math.pi) + 2.0 * math.log(2.0))]),
+        "log_norm": constant([len(low) * LOG_NORM]),
     }
     if suggester.mode == "first":
         return numbers | {"zero": constant([0.0])}
@@ -96,15 +96,15 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
 def _network_numbers(name: str, ensemble: Ensemble, member: int) -> Numbers:
     """Parameters by number; vectors without their row."""
     arrays = [as_array(view[member]) for view in ensemble.weights.full]
+    matrices = _matrices(ensemble.form)
     return {
-        f"{name}.{index}": array if index in _matrices(ensemble.form) else array[0]
+        f"{name}.{index}": array if index in matrices else array[0]
         for index, array in enumerate(arrays)
     }
 
 
 def _matrices(form: Form) -> set[int]:
-    gains = {norm.gain for norm in form.norms}
-    return {index for index in range(0, len(form.shapes), 2) if index not in gains}
+    return set(range(0, len(form.shapes), 2)) - form.gains
 
 
 class _Suggester:

@@ -78,6 +78,11 @@ class Form:
             for start, (rows, columns) in zip(self.starts, self.shapes, strict=True)
         ]
 
+    @property
+    def gains(self) -> set[int]:
+        """Numbers of the gains."""
+        return {norm.gain for norm in self.norms}
+
     def weights(self, full: list[Tensor], product: list[Tensor]) -> Weights:
         """The same parameters in both precisions, and those of each normalisation."""
         return Weights(full, product, {norm.gain: norm.gather(full) for norm in self.norms})
@@ -86,7 +91,7 @@ class Form:
         """First parameters, ``[E length]``: of Linear uniform in +-1/sqrt(inputs)."""
         flat = torch.zeros(members * self.length)
         views = self.views(flat)
-        gains = {norm.gain for norm in self.norms}
+        gains = self.gains
         for index in range(0, len(views), 2):  # weight and bias, or gain and offset
             if index in gains:
                 views[index].fill_(1.0)

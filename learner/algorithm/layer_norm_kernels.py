@@ -39,19 +39,16 @@ def forward(
         stats: Written.
     """
     members, rows, width = x.shape
-    row = np.empty(width, _F)
+    row, shift = np.empty(width, _F), np.zeros(width, _F)
     least = _ZERO if relu else _F(-np.inf)
     for e in range(members):
+        if has_bias:
+            shift[:] = bias[e, 0]
         for n in range(rows):
             mean = _ZERO
-            if has_bias:
-                for j in range(width):
-                    row[j] = _read(x, e, n, j) + bias[e, 0, j]
-                    mean += row[j]
-            else:
-                for j in range(width):
-                    row[j] = _read(x, e, n, j)
-                    mean += row[j]
+            for j in range(width):
+                row[j] = _read(x, e, n, j) + shift[j]
+                mean += row[j]
             mean /= _F(width)
             squares = _ZERO
             for j in range(width):

@@ -14,7 +14,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 LOG_STD_LEAST, LOG_STD_MOST = -10.0, 2.0
-_CONSTANT = 0.5 * math.log(2.0 * math.pi) + 2.0 * math.log(2.0)
+LOG_NORM = 0.5 * math.log(2.0 * math.pi) + 2.0 * math.log(2.0)
 
 
 class Gaussian(NamedTuple):
@@ -73,4 +73,4 @@ def log_density(u: Tensor, normal: Tensor, log_std: Tensor) -> Tensor:
         exact for large u too.
     """
     half = (u + F.softplus(-2.0 * u)).sub_(log_std, alpha=0.5).addcmul_(normal, normal, value=-0.25)
-    return 2.0 * half.sum(-1) - u.shape[-1] * _CONSTANT
+    return 2.0 * half.sum(-1) - u.shape[-1] * LOG_NORM

@@ -31,6 +31,7 @@ def test_the_curves_of_seeds_share_a_grid() -> None:
     few = np.linspace(10.0, 1000.0, 100), np.full(100, 20.0)
     steps, returns = on_a_grid([many, few])
     assert np.allclose(returns, [[10.0], [20.0]])
+    assert np.allclose(returns.mean(0), 15.0)
     assert (steps[0], steps[-1]) == (5.0, 995.0)
 
 

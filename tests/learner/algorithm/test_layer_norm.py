@@ -73,8 +73,8 @@ def test_values_and_gradients_are_those_of_autograd(
     kept = grad * (normed.out > 0) if relu else grad  # rounding may decide what is cut
     out, by_x, *by_affine = autograd(x, affine if biased else without, kept)
     assert_close(normed.out, out.relu() if relu else out, EXACT[kind])
-    steepest = float(normed.stats[1].max().clamp(min=1.0))  # it multiplies rounding too
-    assert_close(through, by_x, EXACT[kind] * steepest)
+    rounding = 16 * torch.finfo(affine.gain.dtype).eps * float(normed.stats[1].max())
+    assert_close(through, by_x, max(EXACT[kind], rounding))  # two numbers may be nearly equal
     for found, wanted in zip(tensors(into), by_affine, strict=False):
         assert_close(found, wanted, 1e-2 if kind == torch.bfloat16 else 1e-4)
 
