@@ -7,15 +7,29 @@ MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
 REFERENCE = "sb3-sac"
 
 _OFF = ("--variant", "off-policy", "--set", "precision=bf16")
-_SAC = (*_OFF, "--preset", "sac")
 
-# One of both is varied at a time, and then both together.
+
+def _off(**options: object) -> tuple[str, ...]:
+    """Off-policy A2S with something else than its default."""
+    return (*_OFF, *(word for item in options.items() for word in ("--set", "{}={}".format(*item))))
+
+
+_BOTH = ("off-policy", "off-policy-k1")
+# Beside both, one K is varied at a time, and then both.
 _BEST_OF_K = {
-    f"act-{act}-target-{target}": (
-        *(*_SAC, "--set", f"act_suggestions={act}"),
-        *("--set", f"target_suggestions={target}"),
-    )
-    for act, target in ((1, 1), (4, 1), (10, 1), (1, 4), (1, 10), (4, 4), (10, 10))
+    f"act-{act}-target-{target}": _off(act_suggestions=act, target_suggestions=target)
+    for act, target in ((4, 1), (1, 4), (1, 10), (10, 4))
+}
+_PARTS = {
+    "no-obs-norm": _off(normalise_obs=False),
+    "no-layer-norm": _off(layer_norm=False),
+    "mlp": _off(network="mlp"),
+    "one-value": _off(quantiles=1, dropped_quantiles=0),
+    "optimism": _off(optimism=0.5),
+    "distil": _off(distil_weight=0.1),
+    "n-step-3": _off(n_step=3),
+    "two-updates": _off(updates_per_step=2),
+    "trunk": _off(network="trunk"),
 }
 LABELS: dict[str, tuple[str, ...]] = {
     "modern": (),
@@ -29,10 +43,9 @@ LABELS: dict[str, tuple[str, ...]] = {
     "temperature-1": ("--set", "temperature=1"),
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
-    "sac": _SAC,
+    "off-policy-k1": _off(act_suggestions=1),
     **_BEST_OF_K,
-    "no-obs-norm": (*_SAC, "--set", "normalise_obs=false"),
-    "no-layer-norm": (*_SAC, "--set", "layer_norm=false"),
+    **_PARTS,
 }
 # What the authors had: one environment.
 _ONE_ENV = ("authors", "authors-a2c")
@@ -69,6 +82,7 @@ class Suite:
 
 
 _ABLATED = ("Hopper-v5", "HalfCheetah-v5")
+_OFF_ABLATED = ("Walker2d-v5", "HalfCheetah-v5")
 
 SUITES = {
     "figure-2": Suite(
@@ -86,15 +100,9 @@ SUITES = {
         16,
     ),
     "100k": Suite(
-        "off_policy", (*MUJOCO, "Ant-v5"), ("off-policy", "sac", REFERENCE), (0, 1, 2), 100_000, 1
+        "off_policy", (*MUJOCO, "Ant-v5"), (*_BOTH, REFERENCE), (0, 1, 2), 100_000, 1
     ),
-    "300k": Suite("off_policy", _ABLATED, ("off-policy", "sac"), (0, 1, 2), 300_000, 1),
-    "best-of-k": Suite(
-        "off_policy",
-        _ABLATED,
-        (*_BEST_OF_K, "no-obs-norm", "no-layer-norm"),
-        (0, 1),
-        50_000,
-        1,
-    ),
+    "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1),
+    "best-of-k": Suite("off_policy", _OFF_ABLATED, (*_BOTH, *_BEST_OF_K), (0, 1), 50_000, 1),
+    "parts": Suite("off_policy", _OFF_ABLATED, ("off-policy", *_PARTS), (0, 1), 50_000, 1),
 }

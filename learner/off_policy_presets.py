@@ -1,6 +1,7 @@
 """Named sets of off-policy hyperparameters, and where each value comes from.
 
-``modern`` is meant for use. ``sac`` is the same without what A2S adds: one suggestion everywhere.
+``modern`` is meant for use: ten suggestions to act by, critics of quantiles, residual networks.
+``sac`` is SAC with the same rates and normalisation: one suggestion, two values, plain networks.
 ``paper`` is algorithm 2 of the paper as printed.
 """
 
@@ -18,25 +19,26 @@ _SAC = "SAC (Haarnoja et al. 2018), table 1"
 _FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008"
 _UNUSED = "not used here"
 _OURS = "ours, to be tuned"
+_TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 
 _MODERN: dict[str, Choice] = {
     "act_suggestions": Choice(10, _PAPER),
-    "optimism": Choice(0.5, _OURS),
-    "target_suggestions": Choice(4, "costs a quarter of an update; unbiased at any K"),
+    "optimism": Choice(0.0, "no gain in probes; docs/adr/0008"),
+    "target_suggestions": Choice(1, "4 cost a quarter of an update and gained nothing; docs/adr/0008"),
     "target_groups": Choice(1, "a batch is a mean already"),
     "selector": Choice("one", "the maximum of what also evaluates is biased upwards"),
     "critics": Choice(2, "TD3 (Fujimoto et al. 2018)"),
-    "quantiles": Choice(1, _OURS),
-    "dropped_quantiles": Choice(0, _UNUSED),
-    "network": Choice("mlp", _OURS),
+    "quantiles": Choice(25, _TQC),
+    "dropped_quantiles": Choice(2, _TQC),
+    "network": Choice("residual", "SimBa (Lee et al. 2024); docs/adr/0009"),
     "critic_sizes": Choice((256, 256), _SAC),
     "policy_sizes": Choice((256, 256), _SAC),
     "layer_norm": Choice(True, "Nauman et al. 2024: above remedies particular to RL"),
     "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
     "precision": Choice("f32", "the same everywhere"),
     "policy_loss": Choice("pathwise", _SAC),
-    "distil_weight": Choice(0.1, _OURS),
-    "distil_suggestions": Choice(4, "as in the target"),
+    "distil_weight": Choice(0.0, "no gain in probes; docs/adr/0008"),
+    "distil_suggestions": Choice(4, "where distil_weight is not 0"),
     "distil_top": Choice(1, "paper, equation 6"),
     "entropy_per_action": Choice(-1.0, _SAC),
     "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
@@ -58,17 +60,17 @@ _MODERN: dict[str, Choice] = {
     "lead_steps": Choice(256, _OURS),
 }
 
-_WITHOUT_SUGGESTIONS: dict[str, Choice] = {
+_SAC_TEXT: dict[str, Choice] = _MODERN | {
     "act_suggestions": Choice(1, "SAC has one"),
-    "optimism": Choice(0.0, _UNUSED),
-    "target_suggestions": Choice(1, "SAC has one"),
-    "distil_weight": Choice(0.0, "SAC has no equation 6"),
-    "distil_suggestions": Choice(1, _UNUSED),
-    "distil_top": Choice(1, _UNUSED),
+    "quantiles": Choice(1, "SAC's critics have one value"),
+    "dropped_quantiles": Choice(0, _UNUSED),
+    "network": Choice("mlp", _SAC),
 }
 
 _PAPER_TEXT: dict[str, Choice] = _MODERN | {
-    "optimism": Choice(0.0, _BOX),
+    "quantiles": Choice(1, _BOX),
+    "dropped_quantiles": Choice(0, _UNUSED),
+    "network": Choice("mlp", _BOX),
     "target_suggestions": Choice(10, _PAPER),
     "target_groups": Choice(3, "paper, section 4.2: low; the authors' code has 1 to 3"),
     "selector": Choice("mean", "there is one critic"),
@@ -92,7 +94,7 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
 
 PRESETS: dict[str, dict[str, Choice]] = {
     "modern": _MODERN,
-    "sac": _MODERN | _WITHOUT_SUGGESTIONS,
+    "sac": _SAC_TEXT,
     "paper": _PAPER_TEXT,
 }
 _FIELDS: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(OffPolicyHyper)}

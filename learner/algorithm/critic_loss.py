@@ -1,6 +1,7 @@
 """Regression of the critics to their targets, with the gradient written out."""
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -43,14 +44,31 @@ def quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss
 
     Source: Dabney et al. 2018, equation 10, with kappa = 1; Kuznetsov et al. 2020 (TQC).
     """
-    rows, atoms = q_value.shape[1:]
+    share = (weight / (len(weight) * q_value.shape[-1])).unsqueeze(-1)
+    if q_value.is_cpu and q_value.dtype == torch.float32:
+        q_value, target = q_value.contiguous(), target.contiguous()
+        cost, grad = torch.empty_like(q_value), torch.empty_like(q_value)
+        arrays = (each.numpy() for each in (q_value, target, cost, grad))
+        _kernel().fill(*arrays)
+    else:
+        cost, grad = _all_pairs(q_value, target)
+    error = (q_value.mean(-1) - target.mean(-1)).abs().mean(0)
+    return CriticLoss((cost * share).sum(), grad * share, error)
+
+
+def _all_pairs(q_value: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """What the kernel fills in, where it does not run."""
+    atoms = q_value.shape[-1]
     middle = (torch.arange(atoms, device=q_value.device) + 0.5) / atoms
     delta = target.unsqueeze(-2) - q_value.unsqueeze(-1)
     blame = (middle.unsqueeze(-1) - (delta < 0).to(delta.dtype)).abs()
     limited = delta.clamp(-1.0, 1.0)
     huber = limited * (delta - 0.5 * limited)
-    share = (weight / rows)[:, None]
-    loss = ((blame * huber).mean((-2, -1)) * share.squeeze(-1)).sum()
-    grad = (blame * limited).mean(-1) * (-share / atoms)
-    error = (q_value.mean(-1) - target.mean(-1)).abs().mean(0)
-    return CriticLoss(loss, grad, error)
+    return (blame * huber).mean(-1), -(blame * limited).mean(-1)
+
+
+@functools.cache
+def _kernel() -> Any:
+    from a2s.learner.algorithm import quantile_kernel  # half a second: only who needs it
+
+    return quantile_kernel

@@ -19,18 +19,12 @@ def test_every_preset_is_complete_and_valid(preset: str) -> None:
     assert all(choice.source for choice in choices(preset).values())
 
 
-def test_sac_is_modern_with_one_suggestion_and_no_distillation() -> None:
-    """The same networks, normalisation and rates: what is left is what A2S adds."""
+def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> None:
+    """The same normalisation, sizes and rates."""
     sac, modern = off_policy("sac", {}), off_policy("modern", {})
     differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
-    assert differ <= {
-        "act_suggestions",
-        "optimism",
-        "target_suggestions",
-        "distil_weight",
-        "distil_suggestions",
-        "distil_top",
-    }
+    assert differ == {"act_suggestions", "quantiles", "dropped_quantiles", "network"}
+    assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
     assert sac.distil_weight == sac.optimism == 0
     assert sac.policy_loss == "pathwise"

@@ -33,13 +33,14 @@ def test_quantile_loss_by_hand(atoms: list[float], target: list[float], expected
     assert float(found.loss) == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("precise", [torch.float32, torch.float64], ids=["f32", "f64"])
 @pytest.mark.parametrize("atoms", [1, 4])
-def test_gradients_are_those_of_autograd(atoms: int) -> None:
-    """Of the loss itself, weights included."""
+def test_gradients_are_those_of_autograd(atoms: int, precise: torch.dtype) -> None:
+    """Of the loss itself, weights included; quantiles in f32 by the kernel, in f64 by torch."""
     generator = torch.Generator().manual_seed(0)
-    q_value = torch.randn(3, 6, atoms, generator=generator, requires_grad=True)
-    target = 2.0 * torch.randn(6, atoms if atoms == 1 else 7, generator=generator)
-    weight = torch.rand(6, generator=generator)
+    q_value = torch.randn(3, 6, atoms, generator=generator, dtype=precise, requires_grad=True)
+    target = 2.0 * torch.randn(6, atoms if atoms == 1 else 7, generator=generator, dtype=precise)
+    weight = torch.rand(6, generator=generator, dtype=precise)
     regress = squared_loss if atoms == 1 else quantile_loss
     if atoms == 1:
         loss = (0.5 * weight * (q_value - target).square().squeeze(2)).mean(1).sum()
