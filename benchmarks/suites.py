@@ -99,9 +99,7 @@ SUITES = {
         300_000,
         16,
     ),
-    "100k": Suite(
-        "off_policy", (*MUJOCO, "Ant-v5"), (*_BOTH, REFERENCE), (0, 1, 2), 100_000, 1
-    ),
+    "100k": Suite("off_policy", (*MUJOCO, "Ant-v5"), (*_BOTH, REFERENCE), (0, 1, 2), 100_000, 1),
     "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1),
     "best-of-k": Suite("off_policy", _OFF_ABLATED, (*_BOTH, *_BEST_OF_K), (0, 1), 50_000, 1),
     "parts": Suite("off_policy", _OFF_ABLATED, ("off-policy", *_PARTS), (0, 1), 50_000, 1),

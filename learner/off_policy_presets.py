@@ -24,7 +24,7 @@ _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 _MODERN: dict[str, Choice] = {
     "act_suggestions": Choice(10, _PAPER),
     "optimism": Choice(0.0, "no gain in probes; docs/adr/0008"),
-    "target_suggestions": Choice(1, "4 cost a quarter of an update and gained nothing; docs/adr/0008"),
+    "target_suggestions": Choice(1, "4 cost a quarter and gained nothing; docs/adr/0008"),
     "target_groups": Choice(1, "a batch is a mean already"),
     "selector": Choice("one", "the maximum of what also evaluates is biased upwards"),
     "critics": Choice(2, "TD3 (Fujimoto et al. 2018)"),

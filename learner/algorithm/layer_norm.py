@@ -74,7 +74,8 @@ def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
         for rows, gain, offset in zip(_biased(x, affine), affine.gain, affine.offset, strict=True)
     ]
     out, mean, rstd = (torch.stack(part) for part in zip(*made, strict=True))
-    return Normed(x, out.relu_() if relu else out, torch.stack([mean, rstd]).squeeze(-1), None)
+    out = (out.relu_() if relu else out).to(x.dtype)
+    return Normed(x, out, torch.stack([mean, rstd]).squeeze(-1), None)
 
 
 def layer_norm_back(
@@ -101,7 +102,7 @@ def layer_norm_back(
     if relu:
         grad = _aten.threshold_backward(grad, normed.out, 0)
     mean, rstd = normed.stats.unsqueeze(-1)
-    parts = (grad, _biased(normed.x, affine), mean, rstd, affine.gain)
+    parts = (grad.to(mean.dtype), _biased(normed.x, affine), mean, rstd, affine.gain)
     made = [
         _aten.native_layer_norm_backward(
             by_out, rows, rows.shape[-1:], m, r, gain[0], gain[0], [True, True, True]
@@ -114,10 +115,11 @@ def layer_norm_back(
         into.offset.copy_(by_offset.unsqueeze(1))
         if into.bias is not None:
             into.bias.copy_(through.sum(1, keepdim=True))
-    return through
+    return through.to(grad.dtype)
 
 
 def _biased(x: Tensor, affine: Affine) -> Tensor:
+    x = x.to(affine.gain.dtype)
     return x if affine.bias is None else x + affine.bias
 
 

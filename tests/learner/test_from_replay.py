@@ -40,7 +40,7 @@ def replay(reward: float) -> Replay:
 
 def learner(path: Path, source: Replay) -> FromReplay:
     """Learn for 100 updates."""
-    options = {"variant": "off-policy", "total_steps": 100}
+    options = {"variant": "off-policy", "preset": "sac", "total_steps": 100}
     return FromReplay(
         configuration=assemble(options, SMALL),
         spaces=SPACES,

@@ -168,7 +168,7 @@ def test_next_observation_counts_where_the_discount_is_not_zero() -> None:
 
 def test_targets_by_hand() -> None:
     """Constant critics: y = r + gamma^n (Q - temperature (log pi + c_K)), to the number."""
-    algorithm = make("modern", target_suggestions=4, target_groups=2, normalise_obs=False)
+    algorithm = make(target_suggestions=4, target_groups=2, normalise_obs=False)
     learned = algorithm.learned
     learned.targets.value.zero_()
     learned.critics.value.zero_()
@@ -224,7 +224,7 @@ def test_temperature_rises_while_the_entropy_is_too_low() -> None:
 @pytest.mark.parametrize("selector", ["one", "mean"])
 def test_target_is_that_of_a_loop_over_groups_and_suggestions(selector: str) -> None:
     """Equations 7 and 8, one suggestion at a time."""
-    algorithm = make("modern", selector=selector, target_groups=3, critics=2, tau=0.5)
+    algorithm = make(selector=selector, target_suggestions=4, target_groups=3, critics=2, tau=0.5)
     for number in range(3):  # until critics and targets differ
         algorithm.update(batch(number))
     learned, rows, noise = algorithm.learned, batch(7), noise_of(algorithm, 7)
