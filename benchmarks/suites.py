@@ -62,6 +62,7 @@ class Suite:
         seeds: Of every label.
         steps: Of every run.
         num_envs: Environments of the actor process.
+        continues: A suite of fewer steps: runs that it has as well go on from where they ended.
     """
 
     folder: str
@@ -70,6 +71,7 @@ class Suite:
     seeds: tuple[int, ...]
     steps: int
     num_envs: int
+    continues: str | None = None
 
     def options(self, env: str, label: str, seed: int) -> tuple[str, ...]:
         """Of the run."""
@@ -99,8 +101,16 @@ SUITES = {
         300_000,
         16,
     ),
-    "100k": Suite("off_policy", (*MUJOCO, "Ant-v5"), (*_BOTH, REFERENCE), (0, 1, 2), 100_000, 1),
-    "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1),
-    "best-of-k": Suite("off_policy", _OFF_ABLATED, (*_BOTH, *_BEST_OF_K), (0, 1), 50_000, 1),
-    "parts": Suite("off_policy", _OFF_ABLATED, ("off-policy", *_PARTS), (0, 1), 50_000, 1),
+    "best-of-k": Suite("off_policy", _OFF_ABLATED, (*_BOTH, *_BEST_OF_K), (1, 2), 50_000, 1),
+    "parts": Suite("off_policy", _OFF_ABLATED, ("off-policy", *_PARTS), (1, 2), 50_000, 1),
+    "100k": Suite(
+        "off_policy",
+        (*MUJOCO, "Ant-v5"),
+        (*_BOTH, REFERENCE),
+        (0, 1, 2),
+        100_000,
+        1,
+        continues="best-of-k",
+    ),
+    "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1, continues="100k"),
 }
