@@ -9,6 +9,9 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import torch
+
+from a2s.learner.algorithm.ensemble import Precision
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.presets import Choice, parse_all
 from a2s.protocol.errors import UsageError, nearest
@@ -19,6 +22,7 @@ _SAC = "SAC (Haarnoja et al. 2018), table 1"
 _FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008"
 _UNUSED = "not used here"
 _OURS = "ours, to be tuned"
+_FASTEST = "fastest"
 _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 
 _MODERN: dict[str, Choice] = {
@@ -35,7 +39,9 @@ _MODERN: dict[str, Choice] = {
     "policy_sizes": Choice((256, 256), _SAC),
     "layer_norm": Choice(True, "Nauman et al. 2024: above remedies particular to RL"),
     "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
-    "precision": Choice("f32", "the same everywhere"),
+    "precision": Choice(
+        _FASTEST, "of this machine: bf16 if the processor multiplies tiles of it (AMX)"
+    ),
     "policy_loss": Choice("pathwise", _SAC),
     "distil_weight": Choice(0.0, "no gain in probes; docs/adr/0008"),
     "distil_suggestions": Choice(4, "where distil_weight is not 0"),
@@ -79,6 +85,7 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
     "policy_sizes": Choice((64, 64), "paper, section 5"),
     "normalise_obs": Choice(False, "authors' code"),
     "layer_norm": Choice(True, "authors' code"),
+    "precision": Choice("f32", "networks too small to gain"),
     "policy_loss": Choice("score", _BOX),
     "distil_weight": Choice(0.0, _BOX),
     "distil_suggestions": Choice(10, "V is the mean of Q over K suggestions"),
@@ -108,7 +115,14 @@ def choices(preset: str) -> dict[str, Choice]:
     """
     if preset not in PRESETS:
         raise UsageError(f"unknown preset {preset!r}{nearest(preset, PRESETS)}")
-    return dict(PRESETS[preset])
+    found = dict(PRESETS[preset])
+    if found["precision"].value == _FASTEST:
+        found["precision"] = found["precision"]._replace(value=_fastest_precision())
+    return found
+
+
+def _fastest_precision() -> Precision:
+    return "bf16" if torch.cpu.get_capabilities().get("amx_bf16", False) else "f32"
 
 
 def off_policy(preset: str, overrides: Mapping[str, object]) -> OffPolicyHyper:

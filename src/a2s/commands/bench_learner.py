@@ -32,6 +32,7 @@ _OURS: dict[str, tuple[str, dict[str, object]]] = {
     "a2s sac, bf16": ("sac", {"precision": "bf16"}),
     "a2s sac, bf16, K_target 4": ("sac", {"precision": "bf16", "target_suggestions": 4}),
     "a2s sac, bf16, no LayerNorm": ("sac", {"precision": "bf16", "layer_norm": False}),
+    "a2s modern, f32": ("modern", {"precision": "f32"}),
     "a2s modern, bf16": ("modern", {"precision": "bf16"}),
 }
 _THEIRS = {"stable_baselines3": ("stable-baselines3", True), "sbx": ("sbx-rl", False)}

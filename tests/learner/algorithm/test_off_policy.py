@@ -14,7 +14,7 @@ from a2s.learner.off_policy_presets import PRESETS, off_policy
 from a2s.protocol.errors import RunDirectoryError
 
 OBS, ACTION, ROWS = 5, 3, 32
-SMALL: dict[str, Any] = {"critic_sizes": "24,16", "policy_sizes": "16,16"}
+SMALL: dict[str, Any] = {"critic_sizes": "24,16", "policy_sizes": "16,16", "precision": "f32"}
 
 
 def make(preset: str = "sac", seed: int = 4, **options: Any) -> OffPolicy:

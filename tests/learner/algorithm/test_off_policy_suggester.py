@@ -15,8 +15,9 @@ LOW, HIGH = torch.tensor([-0.4, 1.0]), torch.tensor([0.4, 5.0])
 
 def make(*, warms_up: bool = False, **options: Any) -> OffPolicySuggester:
     """Build a suggester with asymmetric bounds and critics that disagree."""
-    sizes = {"critic_sizes": "16,8", "policy_sizes": "8,8", "act_suggestions": 6}
-    algorithm = OffPolicy(3, 2, off_policy("modern", {**sizes, **options}), 0)
+    small = {"critic_sizes": "16,8", "policy_sizes": "8,8", "act_suggestions": 6}
+    hyper = off_policy("modern", {**small, "precision": "f32", **options})
+    algorithm = OffPolicy(3, 2, hyper, 0)
     algorithm.learned.critics.value.mul_(3.0)
     algorithm.observe(2.0 * torch.randn(50, 3, generator=torch.Generator().manual_seed(1)))
     return algorithm.suggester(LOW, HIGH, warms_up=warms_up)

@@ -27,8 +27,8 @@ ROWS, OBS, ACTION = 16, 5, 2
 
 def make(**options: object) -> OffPolicy:
     """Small networks that both start from."""
-    sizes = {"critic_sizes": (16, 16), "policy_sizes": (16, 16), "batch_rows": ROWS}
-    return OffPolicy(OBS, ACTION, off_policy("modern", {**sizes, **options}), 3)
+    small = {"critic_sizes": (16, 16), "policy_sizes": (16, 16), "batch_rows": ROWS}
+    return OffPolicy(OBS, ACTION, off_policy("modern", {**small, "precision": "f32", **options}), 3)
 
 
 def batch(number: int) -> Transitions:
