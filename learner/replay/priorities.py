@@ -98,10 +98,16 @@ class Priorities:
         weight = (leaf / leaf.min()) ** np.float32(-beta)
         return end - 1 - (end - 1 - slot) % size, weight
 
-    def assign(self, row: Rows, priority: Floats) -> None:
-        """Set the priorities of live rows, ``[B]``, for example their absolute TD errors."""
+    def assign(self, row: Rows, priority: Floats, highest: float) -> None:
+        """Set the priorities of live rows, ``[B]``, for example their absolute TD errors.
+
+        Args:
+            row: The rows.
+            priority: Theirs.
+            highest: What a new row gets, if no higher one was given before.
+        """
         slot = row % len(self._priority)
-        self.highest = max(self.highest, float(priority.max(initial=0.0)))
+        self.highest = max(self.highest, highest)
         rounded = priority.astype(np.float32)  # as a resumed run will read it
         self._priority[slot] = rounded
         if self._tree is not None:

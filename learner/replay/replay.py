@@ -168,13 +168,14 @@ class Replay:
             UsageError: A priority is negative or not finite.
         """
         values = np.asarray(priority, np.float64)
-        if not (values.size and values.min() >= 0.0 and values.max() < np.inf):
+        highest = float(values.max(initial=0.0))
+        if not (values.size and values.min() >= 0.0 and highest < np.inf):
             raise UsageError("replay: found a negative or non-finite priority, expected 0 or more")
         with self._guard:
             if row.min() < self._ring.begin:
                 live = row >= self._ring.begin
                 row, values = row[live], values[live]
-            self._priorities.assign(row, values)
+            self._priorities.assign(row, values, highest)
 
     def flush(self) -> None:
         """Write everything to the disk, for the case that the machine dies, not only we."""

@@ -1,7 +1,7 @@
 """Drawing in proportion to priorities: a tree of sums, compiled (docs/adr/0005).
 
 Sixteen children a node, which are one cache line. A node is always the sum of its children, added
-up anew and in order: rounding does not build up, and the same leaves make the same tree.
+up anew and in one order: rounding does not build up, and the same leaves make the same tree.
 """
 
 import numba
@@ -22,8 +22,8 @@ _compiled = numba.njit(cache=True, nogil=True)
 class SumTree:
     """Non-negative leaves, drawn with a chance in proportion to each.
 
-    Nodes are float32, which halves the memory that a draw touches; the way down is computed in
-    float64.
+    Nodes and their sums are float32, which halves the memory that a draw touches; what is left of
+    a share on the way down is float64.
 
     Args:
         leaves: Their values, ``[N]``.
@@ -72,11 +72,24 @@ class SumTree:
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def _sum_of(nodes: Array, first: int) -> np.float32:
-    total = np.float32(0.0)
-    for child in range(_FAN_OUT):
-        total += nodes[first + child]
+def _two(nodes: Array, first: int) -> np.float32:
+    total: np.float32 = nodes[first] + nodes[first + _1]
     return total
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _four(nodes: Array, first: int) -> np.float32:
+    total: np.float32 = _two(nodes, first) + _two(nodes, first + _2)
+    return total
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _sum_of(nodes: Array, first: int) -> np.float32:
+    """Add up the children of a node by halves, so that no sum waits for more than three others."""
+    at = _UNSIGNED(first)
+    lower: np.float32 = _four(nodes, at) + _four(nodes, at + _4)
+    upper: np.float32 = _four(nodes, at + _8) + _four(nodes, at + _8 + _4)
+    return lower + upper
 
 
 @_compiled  # type: ignore[untyped-decorator]
@@ -106,33 +119,33 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def _two(nodes: Array, first: int) -> np.float64:
-    return np.float64(nodes[first]) + np.float64(nodes[first + _1])
-
-
-@_compiled  # type: ignore[untyped-decorator]
-def _four(nodes: Array, first: int) -> np.float64:
-    total: np.float64 = _two(nodes, first) + _two(nodes, first + _2)
-    return total
-
-
-@_compiled  # type: ignore[untyped-decorator]
 def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
     """Find a leaf in each of B equal shares of the total, ``within`` 0..1 of it; never one of 0.
 
-    All go down level by level, so that the memory of many is waited for at once. In a node the
-    children are halved four times, without a branch that a processor would have to guess: the
-    upper half is taken if what is left reaches beyond the lower, and there is anything in it.
+    Shares ascend, so that one walk over a level of at most B nodes finds where all of them are.
+    From there all go down level by level, so that the memory of many is waited for at once. In a
+    node the children are halved four times, without a branch that a processor would have to guess:
+    the upper half is taken if what is left reaches beyond the lower, and there is anything in it.
     """
-    top, total = starts[-1], 0.0
-    for child in range(_FAN_OUT):
-        total += nodes[top + child]
-    found, rest = np.zeros(len(within), np.int64), np.empty(len(within), np.float64)
+    total = 0.0
+    for child in range(starts[-1], len(nodes)):
+        total += nodes[child]
+    level, end = len(starts) - 1, len(nodes)
+    while level > 0 and starts[level] - starts[level - 1] <= len(within):
+        end, level = starts[level], level - 1
+    while nodes[end - 1] == 0.0:
+        end -= 1
+    found, rest = np.empty(len(within), np.int64), np.empty(len(within), np.float64)
+    node, passed = starts[level], 0.0
     for i in range(len(within)):
-        rest[i] = (i + within[i]) * (total / len(within))
-    for level in range(len(starts) - 1, -1, -1):
+        wanted = (i + within[i]) * (total / len(within))
+        while node < end - 1 and wanted - passed >= nodes[node]:
+            passed += nodes[node]
+            node += 1
+        found[i], rest[i] = node - starts[level], wanted - passed
+    for lower_level in range(level - 1, -1, -1):
         for i in range(len(within)):
-            first, left = _UNSIGNED(starts[level] + found[i] * _FAN_OUT), rest[i]
+            first, left = _UNSIGNED(starts[lower_level] + found[i] * _FAN_OUT), rest[i]
             at = first
             a, b = _four(nodes, at), _four(nodes, at + _4)
             c, d = _four(nodes, at + _8), _four(nodes, at + _8 + _4)
