@@ -24,7 +24,14 @@ from a2s.learner.algorithm.off_policy_suggester import (
     OffPolicySuggesterMode,
 )
 from a2s.learner.algorithm.policy_steps import PolicyStep, distil, pathwise, score
-from a2s.learner.algorithm.squashed import Drawn, Gaussian, draw, gaussian, log_density
+from a2s.learner.algorithm.squashed import (
+    Drawn,
+    Gaussian,
+    draw,
+    draw_several,
+    gaussian,
+    log_density,
+)
 from a2s.learner.algorithm.transitions import Transitions
 
 
@@ -196,7 +203,7 @@ class OffPolicy:
         learned, hyper = self.learned, self.hyper
         policy = gaussian(learned.policy(obs)[0])
         normal = noise.target
-        u = policy.mean[:, None] + policy.log_std.exp()[:, None] * normal
+        u = draw_several(policy, normal)
         if hyper.target_suggestions > 1:
             scores = self._select(obs, u.tanh(), noise.critic[:-1])
             u, normal = pick_best(scores, u, normal)
@@ -234,8 +241,8 @@ class OffPolicy:
         """The policy gradient, and equation 6 where it has any weight, by the learned critics."""
         hyper, distilled = self.hyper, None
         if hyper.weighs_several:
-            several = policy.mean[:, None] + policy.log_std.exp()[:, None] * noise.distil
-            q_value = self._select(obs, several.tanh()[None], noise.critic[-1:])[0]
+            several = draw_several(policy, noise.distil).tanh()
+            q_value = self._select(obs, several[None], noise.critic[-1:])[0]
             if hyper.distil_weight > 0:
                 distilled = distil(policy, noise.distil, q_value, hyper.distil_top)
             if hyper.policy_loss == "score":

@@ -10,7 +10,7 @@ from a2s.learner.algorithm.ensemble import Ensemble, Form, score_many
 from a2s.learner.algorithm.expected_max import pick_best
 from a2s.learner.algorithm.layers import Weights, run
 from a2s.learner.algorithm.networks import Normaliser
-from a2s.learner.algorithm.squashed import gaussian, log_density
+from a2s.learner.algorithm.squashed import draw_several, gaussian, log_density
 from a2s.learner.algorithm.suggester import Choice
 
 OffPolicySuggesterMode = Literal["uniform", "first", "hard"]
@@ -80,7 +80,7 @@ class OffPolicySuggester:
         seen = self.normaliser(obs)
         form, weights = _in_float32(self.policy)
         policy = gaussian(run(form.layers, weights, seen.unsqueeze(0))[0][0])
-        u = policy.mean.unsqueeze(1) + policy.log_std.exp().unsqueeze(1) * normal
+        u = draw_several(policy, normal)
         if self.mode == "hard":
             score = self.score(seen, u.tanh())
             q_spread = score.amax(1) - score.mean(1)

@@ -60,6 +60,11 @@ def draw(policy: Gaussian, normal: Tensor) -> Drawn:
     return Drawn(noise, u.tanh(), log_density(u, normal, policy.log_std))
 
 
+def draw_several(policy: Gaussian, normal: Tensor) -> Tensor:
+    """Suggest K actions a state, with noise ``[..., B, K, A]``: their u, of the same shape."""
+    return policy.mean.unsqueeze(1) + policy.log_std.exp().unsqueeze(1) * normal
+
+
 def log_density(u: Tensor, normal: Tensor, log_std: Tensor) -> Tensor:
     """Log density of ``tanh(u)``, summed over the action's dimensions.
 
