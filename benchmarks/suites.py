@@ -30,6 +30,7 @@ _PARTS = {
     "n-step-3": _off(n_step=3),
     "two-updates": _off(updates_per_step=2),
     "trunk": _off(network="trunk"),
+    "tau-0.005": _off(tau=0.005),
 }
 LABELS: dict[str, tuple[str, ...]] = {
     "modern": (),

@@ -50,7 +50,7 @@ _MODERN: dict[str, Choice] = {
     "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
     "temperature_learning_rate": Choice(1e-3, _FASTER),
     "gamma": Choice(0.99, _SAC),
-    "tau": Choice(0.005, _SAC),
+    "tau": Choice(0.02, "faster from the start in every probe; docs/adr/0009"),
     "n_step": Choice(1, _SAC),
     "batch_rows": Choice(256, _SAC),
     "updates_per_step": Choice(1.0, _SAC),
@@ -68,6 +68,7 @@ _MODERN: dict[str, Choice] = {
 
 _SAC_TEXT: dict[str, Choice] = _MODERN | {
     "act_suggestions": Choice(1, "SAC has one"),
+    "tau": Choice(0.005, _SAC),
     "quantiles": Choice(1, "SAC's critics have one value"),
     "dropped_quantiles": Choice(0, _UNUSED),
     "network": Choice("mlp", _SAC),
