@@ -123,6 +123,8 @@ def choices(preset: str) -> dict[str, Choice]:
 
 
 def _fastest_precision() -> Precision:
+    if not hasattr(torch.cpu, "get_capabilities"):  # an older torch cannot say
+        return "f32"
     return "bf16" if torch.cpu.get_capabilities().get("amx_bf16", False) else "f32"
 
 

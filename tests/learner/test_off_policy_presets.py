@@ -1,6 +1,8 @@
 """Off-policy presets, overrides and what is refused."""
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +30,14 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
     assert sac.distil_weight == sac.optimism == 0
     assert sac.policy_loss == "pathwise"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
+def test_matrix_products_are_in_bf16_where_the_processor_has_tiles_for_it() -> None:
+    """As its flags say; and in f32 where that is wanted."""
+    has_tiles = "amx_bf16" in Path("/proc/cpuinfo").read_text()
+    assert off_policy("modern", {}).precision == ("bf16" if has_tiles else "f32")
+    assert off_policy("modern", {"precision": "f32"}).precision == "f32"
 
 
 def test_paper_has_neither_entropy_nor_target_networks() -> None:
