@@ -119,13 +119,13 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
-    """Find a leaf in each of B equal shares of the total, ``within`` 0..1 of it; never one of 0.
+def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats]:
+    """Find a node in each of B equal shares, ``within`` 0..1 of it, on a level of at most B nodes.
 
-    Shares ascend, so that one walk over a level of at most B nodes finds where all of them are.
-    From there all go down level by level, so that the memory of many is waited for at once. In a
-    node the children are halved four times, without a branch that a processor would have to guess:
-    the upper half is taken if what is left reaches beyond the lower, and there is anything in it.
+    Shares ascend, so that one walk over the level finds all of them.
+
+    Returns:
+        The level, the nodes ``[B]``, and what is left of each share in its node ``[B]``.
     """
     total = 0.0
     for child in range(starts[-1], len(nodes)):
@@ -143,9 +143,24 @@ def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
             passed += nodes[node]
             node += 1
         found[i], rest[i] = node - starts[level], wanted - passed
-    for lower_level in range(level - 1, -1, -1):
+    return level, found, rest
+
+
+@_compiled  # type: ignore[untyped-decorator]
+def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
+    """Find a leaf in each of B equal shares of the total, ``within`` 0..1 of it; never one of 0.
+
+    From where the walk ends all go down level by level, so that the memory of many is waited for at
+    once. In a node the children are halved four times, without a branch that a processor would have
+    to guess: the upper half is taken if what is left reaches beyond the lower, and there is
+    anything in it.
+    """
+    walked: int
+    found: Rows
+    walked, found, rest = _walk(nodes, starts, within)
+    for level in range(walked - 1, -1, -1):
         for i in range(len(within)):
-            first, left = _UNSIGNED(starts[lower_level] + found[i] * _FAN_OUT), rest[i]
+            first, left = _UNSIGNED(starts[level] + found[i] * _FAN_OUT), rest[i]
             at = first
             a, b = _four(nodes, at), _four(nodes, at + _4)
             c, d = _four(nodes, at + _8), _four(nodes, at + _8 + _4)
