@@ -30,7 +30,7 @@ from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
 
-_HOLD_S = (0.02, 2.0)
+_LEAST_HOLD_S = 0.02
 COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *SHOWN)
 
 
@@ -113,12 +113,15 @@ class OffPolicyLearning:
         self._limiter.count_insert(segment.num_steps)
 
     def hold_s(self, pending_batches: float) -> float:
-        """Time that learning needs to be back within its band, at the pace of its last round."""
+        """Time that learning needs to be back within its band, at the pace of its last round.
+
+        Never longer than a round, for the next one begins only when more was played.
+        """
         del pending_batches  # they are in the replay, whatever is played next
         if self._limiter.may_insert():
             return 0.0
-        behind_s = self._limiter.excess * self._update_s / self._hyper.batch_rows
-        return min(max(behind_s, _HOLD_S[0]), _HOLD_S[1])
+        behind = self._limiter.excess / self._hyper.batch_rows
+        return min(max(behind * self._update_s, _LEAST_HOLD_S), self._round * self._update_s)
 
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
         """Make the updates that are due, but then let actors have the new weights.
@@ -127,9 +130,8 @@ class OffPolicyLearning:
         """
         obs = np.concatenate([segment.obs for segment in segments])
         self._algorithm.observe(torch.from_numpy(obs))
-        most = 2 * math.ceil(self._quota.batch_steps * self._hyper.updates_per_step)
         made, begin_s = RoundMeans(), time.monotonic()
-        while made.count < most and self._limiter.may_sample():
+        while made.count < self._round and self._limiter.may_sample():
             made.add(self._update())
         if not self._algorithm.is_finite():
             raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
@@ -173,6 +175,11 @@ class OffPolicyLearning:
     def close(self) -> None:
         """Close the replay."""
         self._replay.close()
+
+    @property
+    def _round(self) -> int:
+        """Updates of a round at most."""
+        return 2 * math.ceil(self._quota.batch_steps * self._hyper.updates_per_step)
 
     def _update(self) -> OffPolicyStats:
         batch, rows = draw(self._replay, self._hyper, self._rng)

@@ -1,6 +1,7 @@
 """The off-policy variant in the learner's loop: how much is learned, from what, when to wait."""
 
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,17 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     assert run.hold_s(9.0) > 0.0
     run.learn([segment(seq) for seq in range(6)], 0.0, is_behind=False)
     assert run.hold_s(9.0) == 0.0
+
+
+@pytest.mark.parametrize("steps_behind", [100, 10_000])
+def test_no_wait_is_longer_than_a_round(learning: Learn, steps_behind: int) -> None:
+    """Learning that is far behind would stand still as well: a round begins with steps played."""
+    run = learning()
+    for seq in range(steps_behind // 5):
+        run.keep(segment(seq))
+    begin_s = time.monotonic()
+    run.learn([segment(0)], 0.0, is_behind=False)
+    assert 0.0 < run.hold_s(9.0) <= time.monotonic() - begin_s
 
 
 @pytest.mark.parametrize("options", [{}, {"prioritised": True, "replay_rows": 35}], ids=str)
