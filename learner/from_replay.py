@@ -169,7 +169,8 @@ class FromReplay:
             self._checkpoint()
 
     def _graph(self) -> bytes:
-        suggester = self._algorithm.suggester(*self._bounds, warms_up=self._at.updates == 0)
+        warms_up = self._at.updates == 0
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=True)
         return export(suggester, self._at.updates, {"env": self._run.env, "algo": self._run.algo})
 
     def _checkpoint(self) -> None:

@@ -142,7 +142,7 @@ class Learner:
             if self._passed(self._run.checkpoint_every_updates):
                 self._checkpoint()
             if self._passed(self._run.keep_policy_every_updates):
-                self._directory.policy(f"policies/{self._at.env_steps:09d}", self._graph)
+                self._directory.policy(f"policies/{self._at.env_steps:09d}", self._to_keep())
         self._at.version = max(self._at.version, self._first_version)
         self._checkpoint()
         self._bus.close()
@@ -217,9 +217,12 @@ class Learner:
         self._service.announce_recovery(event)
         self._metrics.recoveries.inc()
 
-    def _export(self, version: int) -> bytes:
+    def _export(self, version: int, *, to_keep: bool = False) -> bytes:
         metadata = {"env": self._run.env, "algo": self._run.algo}
-        return self._learning.graph(version, self._progress(), metadata)
+        return self._learning.graph(version, self._progress(), metadata, to_keep=to_keep)
+
+    def _to_keep(self) -> bytes:
+        return self._export(max(self._at.version, self._first_version), to_keep=True)
 
     def _publish(self) -> None:
         """Export the networks; while the run goes on, serve and announce them."""
@@ -253,7 +256,7 @@ class Learner:
         self._show(outcome.kl)
 
     def _checkpoint(self) -> None:
-        self._latest = self._export(max(self._at.version, self._first_version))
+        self._latest = self._to_keep()
         self._directory.policy("latest", self._latest)
         tensors, scalars = self._learning.state()
         state = {

@@ -68,8 +68,17 @@ class Learning(Protocol):
         """What to play next with so many environments."""
         ...
 
-    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
-        """The present way of acting as ONNX bytes, where ``progress`` of the run is done."""
+    def graph(
+        self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
+    ) -> bytes:
+        """The present way of acting as ONNX bytes.
+
+        Args:
+            version: Its ``weights_version``.
+            progress: Fraction of the run that is done.
+            metadata: Goes into the file.
+            to_keep: What is kept for use, which may be steadier than what actors are to play.
+        """
         ...
 
     def keep(self, segment: Segment) -> None:

@@ -101,10 +101,12 @@ class OffPolicyLearning:
         self._quota = Quota(steps * num_envs, steps, 0)
         return self._quota
 
-    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
+    def graph(
+        self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
+    ) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
         warms_up = self._updates == 0
-        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up)
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=to_keep)
         return export(suggester, version, metadata)
 
     def keep(self, segment: Segment) -> None:

@@ -49,6 +49,7 @@ _MODERN: dict[str, Choice] = {
     "entropy_per_action": Choice(-1.0, _SAC),
     "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
     "temperature_learning_rate": Choice(1e-3, _FASTER),
+    "average_updates": Choice(1000, "the latest mean action falls now and then; docs/adr/0010"),
     "gamma": Choice(0.99, _SAC),
     "tau": Choice(0.02, "faster from the start in every probe; docs/adr/0009"),
     "n_step": Choice(1, _SAC),
@@ -68,6 +69,7 @@ _MODERN: dict[str, Choice] = {
 
 _SAC_TEXT: dict[str, Choice] = _MODERN | {
     "act_suggestions": Choice(1, "SAC has one"),
+    "average_updates": Choice(0, _SAC),
     "tau": Choice(0.005, _SAC),
     "quantiles": Choice(1, "SAC's critics have one value"),
     "dropped_quantiles": Choice(0, _UNUSED),
@@ -93,6 +95,7 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
     "entropy_per_action": Choice(-1.0, _UNUSED),
     "initial_temperature": Choice(0.0, _BOX),
     "temperature_learning_rate": Choice(0.0, _BOX),
+    "average_updates": Choice(0, _BOX),
     "gamma": Choice(0.97, _PAPER),
     "tau": Choice(1.0, "paper, algorithm 2: no target network"),
     "learning_rate": Choice(1e-3, "authors' code"),

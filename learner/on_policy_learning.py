@@ -62,8 +62,11 @@ class OnPolicyLearning:
         episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
         return Quota(steps, max(1, math.ceil(steps / num_envs)), episodes)
 
-    def graph(self, version: int, progress: float, metadata: Mapping[str, str]) -> bytes:
-        """Suggester with Q, as soon as that may choose."""
+    def graph(
+        self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
+    ) -> bytes:
+        """Suggester with Q, as soon as that may choose; the same to keep."""
+        del to_keep
         return export(self._algorithm.suggester(*self._bounds, progress), version, dict(metadata))
 
     def keep(self, segment: Segment) -> None:

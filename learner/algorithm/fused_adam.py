@@ -14,6 +14,9 @@ class FusedAdam:
         learning_rate: Of every step.
         weight_decay: As a fraction of the learning rate.
 
+    Attributes:
+        steps: Made so far, float32 ``[]``.
+
     Source: Kingma and Ba 2015, algorithm 1; Loshchilov and Hutter 2019 for the decay.
     """
 
@@ -23,18 +26,18 @@ class FusedAdam:
         self._weight_decay = weight_decay
         self._first = torch.zeros_like(value)
         self._second = torch.zeros_like(value)
-        self._steps = torch.zeros((), device=value.device)
+        self.steps = torch.zeros((), device=value.device)
 
     @torch.no_grad()
     def step(self, grad: Tensor) -> None:
         """Make one step down a gradient."""
-        self._steps.add_(1.0)
+        self.steps.add_(1.0)
         torch._fused_adamw_(  # by way of torch.optim it takes a quarter longer
-            [self._value], [grad], [self._first], [self._second], [], [self._steps],
+            [self._value], [grad], [self._first], [self._second], [], [self.steps],
             lr=self._learning_rate, beta1=BETA_1, beta2=BETA_2, weight_decay=self._weight_decay,
             eps=EPS, amsgrad=False, maximize=False,
         )  # fmt: skip
 
     def tensors(self) -> dict[str, Tensor]:
         """Moments and number of steps, not copied."""
-        return {"first": self._first, "second": self._second, "steps": self._steps}
+        return {"first": self._first, "second": self._second, "steps": self.steps}

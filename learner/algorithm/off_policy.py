@@ -109,7 +109,12 @@ class OffPolicy:
         return Noise(*(each.to(self.device, non_blocking=True) for each in noise))
 
     def suggester(
-        self, action_low: Tensor, action_high: Tensor, *, warms_up: bool = False
+        self,
+        action_low: Tensor,
+        action_high: Tensor,
+        *,
+        warms_up: bool = False,
+        averaged: bool = False,
     ) -> OffPolicySuggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
@@ -117,12 +122,13 @@ class OffPolicy:
             action_low: Of the environment, float32 ``[A]``.
             action_high: Of the environment, float32 ``[A]``.
             warms_up: Act at random: nothing is learned yet.
+            averaged: By the average of the policy over time, to be kept and used.
         """
         picks = self.hyper.act_suggestions > 1 and not warms_up
         mode: OffPolicySuggesterMode = "hard" if picks else "uniform" if warms_up else "first"
         return OffPolicySuggester(
             normaliser=self.learned.normaliser,
-            policy=self.learned.policy,
+            policy=self.learned.average if averaged else self.learned.policy,
             critics=self.learned.critics,
             action_low=action_low,
             action_high=action_high,
@@ -157,6 +163,7 @@ class OffPolicy:
         learned.policy.differentiate(tape, grad.unsqueeze(0))
         learned.adam["policy"].step(learned.policy.grad)
         learned.policy.refresh()
+        learned.follow()
         learned.targets.value.lerp_(learned.critics.value, self.hyper.tau)
         learned.targets.refresh()
         return OffPolicyStats(

@@ -23,6 +23,7 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "critics": (1, 64),
     "quantiles": (1, 1024),
     "dropped_quantiles": (0, 1023),
+    "average_updates": (0, math.inf),
     "n_step": (1, 1024),
     "batch_rows": (1, 2**20),
     "warm_up_steps": (0, math.inf),
@@ -101,6 +102,8 @@ class OffPolicyHyper:
     """Weight of the entropy at first."""
     temperature_learning_rate: float
     """Of Adam on the logarithm of the temperature; 0: it stays as it is."""
+    average_updates: int
+    """Updates over which the policy that is kept is averaged, at most a tenth of all; 0: not."""
 
     gamma: float
     """Discount per step, above 0 and at most 1."""

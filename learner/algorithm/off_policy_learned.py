@@ -25,6 +25,7 @@ class OffPolicyLearned:
         policy: One network, ``[D]`` to ``[2 A]``: means and log standard deviations of u.
         critics: E networks, ``[D + A]`` to the M atoms of a value.
         targets: The same, averaged over time.
+        average: The policy, averaged over time; the same object where that is not wanted.
         log_temperature: Logarithm of the weight of the entropy, ``[]``.
         adam: One optimiser for ``policy``, ``critics`` and ``temperature``.
     """
@@ -48,6 +49,11 @@ class OffPolicyLearned:
         sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
         self.critics = make(sizes, hyper.critics, late=action_size)
         self.targets = self.critics.copy()
+        self._average_updates = hyper.average_updates
+        self.average = self.policy
+        if hyper.average_updates:
+            first = self.policy.value.clone()
+            self.average = Ensemble(self.policy.form, first, precision="f32")
         self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
         self.learns_temperature = hyper.temperature_learning_rate > 0
         rates = {
@@ -59,6 +65,15 @@ class OffPolicyLearned:
             name: FusedAdam(value, learning_rate=rate, weight_decay=decay)
             for name, (value, rate, decay) in rates.items()
         }
+
+    def follow(self) -> None:
+        """Move the average towards the policy.
+
+        It reaches back over a tenth of the updates so far, so that the first ones do not last.
+        """
+        if self.average is not self.policy:
+            reach = (self.adam["policy"].steps / 10.0).clamp(1.0, self._average_updates)
+            self.average.value.lerp_(self.policy.value, 1.0 / reach)
 
     def is_finite(self) -> bool:
         """Whether every parameter is a number; waits for the device."""
@@ -74,6 +89,8 @@ class OffPolicyLearned:
             "targets": self.targets.value,
             "log_temperature": self.log_temperature,
         }
+        if self.average is not self.policy:
+            found["average"] = self.average.value
         found |= {f"normaliser.{name}": each for name, each in self.normaliser.named_buffers()}
         for name, adam in self.adam.items():
             found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}

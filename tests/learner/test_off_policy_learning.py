@@ -109,6 +109,23 @@ def test_acts_at_random_until_something_was_learned(learning: Learn) -> None:
     assert (mode["mode"], mode["K"]) == ("hard", "10")
 
 
+def test_what_is_kept_is_steadier_than_what_actors_play(learning: Learn) -> None:
+    run = learning()
+    for first in range(0, 32, 4):
+        play(run, first, 4)
+    obs = np.random.default_rng(1).standard_normal((5, 3)).astype(np.float32)
+
+    def mean(*, to_keep: bool) -> Any:
+        graph = run.graph(1, 0.0, {}, to_keep=to_keep)
+        return Suggester(graph, "mean")(obs, np.random.default_rng(0)).action
+
+    before = mean(to_keep=True), mean(to_keep=False)
+    play(run, 32, 4)
+    after = mean(to_keep=True), mean(to_keep=False)
+    steps = [np.abs(new - old).max() for old, new in zip(before, after, strict=True)]
+    assert 0.0 < steps[0] < steps[1]
+
+
 def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     """Until the warm-up is over they never do."""
     run = learning()

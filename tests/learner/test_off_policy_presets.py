@@ -25,7 +25,9 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     """The same normalisation, sizes and rates."""
     sac, modern = off_policy("sac", {}), off_policy("modern", {})
     differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
-    assert differ == {"act_suggestions", "quantiles", "dropped_quantiles", "network", "tau"}
+    assert differ == {
+        "act_suggestions", "quantiles", "dropped_quantiles", "network", "tau", "average_updates"
+    }  # fmt: skip
     assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
     assert sac.distil_weight == sac.optimism == 0

@@ -297,3 +297,27 @@ def test_weight_decay_shrinks_policy_and_critics_but_not_the_temperature() -> No
     difference = now["policy"] - shrunk["policy"] - 1e-3 * 0.5 * before["policy"]
     assert float(difference.abs().median()) < 1e-7
     assert torch.equal(now["log_temperature"], shrunk["log_temperature"])
+
+
+@pytest.mark.parametrize("longest", [1, 2, 1000])
+def test_what_is_kept_is_the_policy_averaged_over_a_tenth_of_all_updates(longest: int) -> None:
+    """Or over fewer; actors get the latest one."""
+    algorithm = make("modern", average_updates=longest)
+    average = algorithm.learned.policy.value.double()
+    bounds = -torch.ones(ACTION), torch.ones(ACTION)
+    for number in range(1, 41):
+        algorithm.update(batch(number))
+        share = 1.0 / min(max(number / 10, 1.0), longest)
+        average += share * (algorithm.learned.policy.value - average)
+        kept = algorithm.suggester(*bounds, averaged=True).policy.value
+        assert torch.allclose(kept.double(), average, atol=1e-6)
+    assert torch.equal(algorithm.suggester(*bounds).policy.value, algorithm.learned.policy.value)
+    assert torch.equal(kept, algorithm.learned.policy.value) is (longest == 1)
+
+
+def test_nothing_is_averaged_unless_wanted() -> None:
+    algorithm = make("sac")
+    algorithm.update(batch(0))
+    kept = algorithm.suggester(-torch.ones(ACTION), torch.ones(ACTION), averaged=True).policy
+    assert kept is algorithm.learned.policy
+    assert "average" not in algorithm.state()
