@@ -25,6 +25,7 @@ _PARTS = {
     "no-layer-norm": _off(layer_norm=False),
     "mlp": _off(network="mlp"),
     "one-value": _off(quantiles=1, dropped_quantiles=0),
+    "act-hard": _off(selection="hard"),
     "optimism": _off(optimism=0.5),
     "distil": _off(distil_weight=0.1),
     "n-step-3": _off(n_step=3),

@@ -1,4 +1,4 @@
-"""An off-policy suggester as an ONNX graph: the contract of ``export.py``, without Gumbel noise.
+"""An off-policy suggester as an ONNX graph: the contract of ``export.py``.
 
 ``suggestion`` is the canonical action itself, within -1..1, and ``log_prob`` its density there.
 """
@@ -78,6 +78,7 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         "minus_one": constant(-1.0),
         "plus_one": constant(1.0),
         "log_norm": constant([len(low) * LOG_NORM]),
+        "axis_2": np.array([2], np.int64),
     }
     if suggester.mode == "first":
         return numbers | {"zero": constant([0.0])}
@@ -87,10 +88,10 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         first = numbers.pop(f"{name}.{suggester.critics.form.first.weight}")
         split = len(first) - len(low)
         numbers |= {f"{name}.obs": first[:split], f"{name}.action": first[split:]}
-    return numbers | {
-        "axis_2": np.array([2], np.int64),
-        "optimism": constant(suggester.optimism),
-    }
+    if suggester.mode == "soft":
+        numbers["temperature"] = as_array(suggester.temperature)
+        numbers["log_k"] = constant([math.log(suggester.suggestions)])
+    return numbers | {"optimism": constant(suggester.optimism)}
 
 
 def _network_numbers(name: str, ensemble: Ensemble, member: int) -> Numbers:
@@ -168,30 +169,41 @@ class _Suggester:
         output = self.network("policy", form.layers, seen)
         mean, raw = self.nodes.halves(output)
         log_std = self.add("Clip", raw, "log_std_least", "log_std_most")
-        std = self.add("Exp", log_std)
+        mean, log_std = (self.add("Unsqueeze", x, "axis_1") for x in (mean, log_std))
+        u = self.add("Add", self.add("Mul", "normal", self.add("Exp", log_std)), mean)
+        density = self.density(u, log_std)
         if kind.mode == "first":
-            noise = self.add("Squeeze", "normal", "axis_1")
-            self.zero_spread(noise)
+            u = self.add("Squeeze", u, "axis_1")
+            self.add("Squeeze", density, "axis_1", to="log_prob")
+            self.zero_spread(u)
         else:
-            spread = self.add("Mul", "normal", self.add("Unsqueeze", std, "axis_1"))
-            u = self.add("Add", spread, self.add("Unsqueeze", mean, "axis_1"))
             score = self.score(seen, self.add("Tanh", u))
             self.nodes.spread(score)
+            if kind.mode == "soft":
+                score, density = self.soften(score, density)
             index = self.add("ArgMax", score, axis=1, keepdims=1)
-            noise = self.add("GatherND", "normal", index, batch_dims=1)
-        u = self.add("Add", mean, self.add("Mul", noise, std))
+            u = self.add("GatherND", u, index, batch_dims=1)
+            self.add("GatherND", density, index, batch_dims=1, to="log_prob")
         # The runtime's tanh goes beyond 1 by one unit of the last place.
         self.add("Clip", self.add("Tanh", u), "minus_one", "plus_one", to="suggestion")
-        self.density(u, noise, log_std)
 
-    def density(self, u: str, noise: str, log_std: str) -> None:
-        """Write ``log_prob``: the Gaussian's less the logarithm of the slope of tanh."""
+    def soften(self, score: str, density: str) -> tuple[str, str]:
+        """What is largest at the suggestion drawn, and densities as executed, ``[B, K]``."""
+        square = self.add("ReduceSumSquare", "gumbel", "axis_1", keepdims=1)
+        correction = self.add("Mul", density, self.add("Sign", square))
+        logit = self.add("Sub", self.add("Div", score, "temperature"), correction)
+        whole = self.add("ReduceLogSumExp", logit, "axis_1", keepdims=1)
+        preference = self.add("Add", self.add("Sub", logit, whole), "log_k")
+        return self.add("Add", logit, "gumbel"), self.add("Add", density, preference)
+
+    def density(self, u: str, log_std: str) -> str:
+        """Log densities ``[B, K]``: the Gaussian's less the logarithm of the slope of tanh."""
         softplus = self.add("Softplus", self.add("Mul", u, "minus_two"))
         slope = self.add("Mul", self.add("Add", u, softplus), "two")
-        exponent = self.add("Mul", self.add("Mul", noise, noise), "minus_half")
+        exponent = self.add("Mul", self.add("Mul", "normal", "normal"), "minus_half")
         each = self.add("Add", self.add("Sub", exponent, log_std), slope)
-        total = self.add("ReduceSum", each, "axis_1", keepdims=0)
-        self.add("Sub", total, "log_norm", to="log_prob")
+        total = self.add("ReduceSum", each, "axis_2", keepdims=0)
+        return self.add("Sub", total, "log_norm")
 
     def uniform(self) -> None:
         """All outputs without a policy: the error function makes normal noise uniform."""
@@ -216,4 +228,6 @@ def _template(kind: _Kind) -> Any:
         graph.suggest()
     graph.nodes.to_env()
     action_size = kind.policy_sizes[-1] // 2
-    return graph.nodes.template(kind.policy_sizes[0], kind.suggestions, action_size, gumbel=False)
+    return graph.nodes.template(
+        kind.policy_sizes[0], kind.suggestions, action_size, gumbel=kind.mode == "soft"
+    )

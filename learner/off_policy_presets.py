@@ -27,6 +27,7 @@ _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 
 _MODERN: dict[str, Choice] = {
     "act_suggestions": Choice(10, _PAPER),
+    "selection": Choice("soft", "hard ones explore too little; docs/adr/0011"),
     "optimism": Choice(0.0, "no gain in probes; docs/adr/0008"),
     "target_suggestions": Choice(1, "4 cost a quarter and gained nothing; docs/adr/0008"),
     "target_groups": Choice(1, "a batch is a mean already"),
@@ -69,6 +70,7 @@ _MODERN: dict[str, Choice] = {
 
 _SAC_TEXT: dict[str, Choice] = _MODERN | {
     "act_suggestions": Choice(1, "SAC has one"),
+    "selection": Choice("hard", _UNUSED),
     "average_updates": Choice(0, _SAC),
     "tau": Choice(0.005, _SAC),
     "quantiles": Choice(1, "SAC's critics have one value"),
@@ -77,6 +79,7 @@ _SAC_TEXT: dict[str, Choice] = _MODERN | {
 }
 
 _PAPER_TEXT: dict[str, Choice] = _MODERN | {
+    "selection": Choice("hard", _BOX),
     "quantiles": Choice(1, _BOX),
     "dropped_quantiles": Choice(0, _UNUSED),
     "network": Choice("mlp", _BOX),

@@ -13,6 +13,7 @@ from a2s.learner.algorithm.ranges import check, check_most, refuse
 
 OffPolicyLoss = Literal["pathwise", "score"]
 Selector = Literal["one", "mean"]
+ActSelection = Literal["hard", "soft"]
 
 _INTEGERS: dict[str, tuple[int, float]] = {
     "act_suggestions": (1, 1024),
@@ -58,6 +59,8 @@ class OffPolicyHyper:
 
     act_suggestions: int
     """K_act, actions among which Q picks what is executed, at least 1."""
+    selection: ActSelection
+    """``hard``: the largest score; ``soft``: drawn, as if from the Boltzmann distribution of Q."""
     optimism: float
     """Beta: what is executed has the largest mean of the critics plus this times their spread."""
     target_suggestions: int
@@ -146,6 +149,8 @@ class OffPolicyHyper:
         if self.dropped_quantiles >= self.quantiles:
             expected = f"fewer than quantiles ({self.quantiles})"
             refuse("dropped_quantiles", self.dropped_quantiles, expected)
+        if self.selection == "soft" and self.initial_temperature == 0.0:
+            refuse("initial_temperature", 0.0, "above 0 with selection soft")
         if self.network == "trunk" and len(self.critic_sizes) < 2:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
         if self.policy_loss == "score" and self.distil_suggestions == 1:

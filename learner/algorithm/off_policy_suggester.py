@@ -13,7 +13,7 @@ from a2s.learner.algorithm.networks import Normaliser
 from a2s.learner.algorithm.squashed import draw_several, gaussian, log_density
 from a2s.learner.algorithm.suggester import Choice
 
-OffPolicySuggesterMode = Literal["uniform", "first", "hard"]
+OffPolicySuggesterMode = Literal["uniform", "first", "hard", "soft"]
 
 
 class OffPolicySuggester:
@@ -23,22 +23,26 @@ class OffPolicySuggester:
     One suggester serves every way of acting by its noise:
 
     ==================================================  ==========================================
-    behaviour                                           ``normal`` as drawn
+    behaviour                                           ``normal`` and ``gumbel`` as drawn
     mean action                                         ``normal = 0``
-    best of K, the mean among them                      ``normal[:, 0] = 0``
+    best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
 
     Args:
         normaliser: Of the observations.
         policy: Suggests; not asked in the mode ``uniform``.
-        critics: Pick; not asked but in the mode ``hard``.
+        critics: Pick; not asked but in the modes ``hard`` and ``soft``.
         action_low: Lowest action of the environment, float32 ``[A]``.
         action_high: Highest, float32 ``[A]``.
         mode: ``uniform``: actions spread evenly over the bounds, for warm-up; ``first``: the only
-            suggestion; ``hard``: the one of largest score.
-        suggestions: K; 1 but in the mode ``hard``.
+            suggestion; ``hard``: the one of largest score; ``soft``: drawn, each with a chance in
+            proportion to exp(score / temperature) over its density under the policy. As K grows,
+            that is a draw from the Boltzmann distribution of the scores, to which SAC's policy
+            is fitted, and so no less random than the policy is to be (docs/adr/0011).
+        suggestions: K; 1 but in the modes ``hard`` and ``soft``.
         optimism: Beta: a score is the mean of the critics plus this times their standard
             deviation (over the critics that there are: half the difference of two).
+        temperature: Of ``soft``, in returns, ``[]``.
     """
 
     def __init__(
@@ -52,9 +56,10 @@ class OffPolicySuggester:
         mode: OffPolicySuggesterMode,
         suggestions: int,
         optimism: float,
+        temperature: Tensor,
     ) -> None:
-        if mode != "hard" and suggestions != 1:
-            raise ValueError(f"mode {mode}, K {suggestions}: expected K 1 but in mode 'hard'")
+        if mode in ("uniform", "first") and suggestions != 1:
+            raise ValueError(f"mode {mode}, K {suggestions}: expected K 1 without critics")
         self.normaliser = normaliser
         self.policy = policy
         self.critics = critics
@@ -63,14 +68,17 @@ class OffPolicySuggester:
         self.mode: OffPolicySuggesterMode = mode
         self.suggestions = suggestions
         self.optimism = optimism
+        self.temperature = temperature
 
     @torch.no_grad()
-    def __call__(self, obs: Tensor, normal: Tensor) -> Choice:
+    def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
         """Choose actions.
 
         Args:
             obs: As the environment gave them, float32 ``[B, D]``.
             normal: Standard normal noise, float32 ``[B, K, A]``.
+            gumbel: Standard Gumbel noise, float32 ``[B, K]``, for the mode ``soft``; without it,
+                or where all of it is 0, the largest score counts.
         """
         q_spread = torch.zeros(len(obs), device=obs.device)
         if self.mode == "uniform":
@@ -81,14 +89,23 @@ class OffPolicySuggester:
         form, weights = _in_float32(self.policy)
         policy = gaussian(run(form.layers, weights, seen.unsqueeze(0))[0][0])
         u = draw_several(policy, normal)
-        if self.mode == "hard":
-            score = self.score(seen, u.tanh())
-            q_spread = score.amax(1) - score.mean(1)
-            u, noise = pick_best(score, u, normal)
-        else:
-            u, noise = u.squeeze(1), normal.squeeze(1)
+        log_prob = log_density(u, normal, policy.log_std.unsqueeze(1))
+        if self.mode == "first":
+            return self._choice(u.squeeze(1), log_prob.squeeze(1), q_spread)
+        score = self.score(seen, u.tanh())
+        q_spread = score.amax(1) - score.mean(1)
+        if self.mode == "soft":
+            if gumbel is None:
+                gumbel = torch.zeros_like(score)
+            is_drawn = gumbel.square().sum(1, keepdim=True).sign()
+            score = score / self.temperature - is_drawn * log_prob
+            log_prob = log_prob + score.log_softmax(1) + math.log(self.suggestions)
+            score = score + gumbel
+        u, chosen = pick_best(score, u, log_prob.unsqueeze(2))
+        return self._choice(u, chosen.squeeze(1), q_spread)
+
+    def _choice(self, u: Tensor, log_prob: Tensor, q_spread: Tensor) -> Choice:
         suggestion = u.tanh()
-        log_prob = log_density(u, noise, policy.log_std)
         return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def score(self, seen: Tensor, action: Tensor) -> Tensor:

@@ -23,7 +23,9 @@ LOW, HIGH = torch.tensor([-0.4, -3.0, 0.5]), torch.tensor([0.4, 1.0, 2.5])
 def make(mode: str, **options: Any) -> OffPolicySuggester:
     """A suggester whose every number differs from its first value."""
     sizes = {"critic_sizes": "9,6", "policy_sizes": "8,7", "act_suggestions": 5}
-    given = {**sizes, **options, **({"act_suggestions": 1} if mode == "first" else {})}
+    own: dict[str, Any] = {"act_suggestions": 1} if mode == "first" else {}
+    own |= {"selection": mode} if mode in ("hard", "soft") else {}
+    given = {**sizes, **options, **own}
     algorithm = OffPolicy(4, 3, off_policy("modern", given), 0)
     generator = torch.Generator().manual_seed(3)
     for ensemble in (algorithm.learned.policy, algorithm.learned.critics):
@@ -49,8 +51,13 @@ def assert_agree(suggester: OffPolicySuggester, rows: int = 33) -> None:
     obs = 3.0 * torch.randn(rows, 4, generator=generator)
     obs[0] = 1e4
     normal = torch.randn(rows, suggester.suggestions, 3, generator=generator)
-    expected = suggester(obs, normal)
     feed = {"obs": obs.numpy(), "normal": normal.numpy()}
+    gumbel = None
+    if suggester.mode == "soft":
+        gumbel = torch.randn(rows, suggester.suggestions, generator=generator)
+        gumbel[::3] = 0.0
+        feed["gumbel"] = gumbel.numpy()
+    expected = suggester(obs, normal, gumbel)
     found = session(export(suggester, 1, {})).run(list(expected._fields), feed)
     for name, theirs, ours in zip(expected._fields, found, expected, strict=True):
         assert theirs.dtype == np.float32
@@ -60,7 +67,9 @@ def assert_agree(suggester: OffPolicySuggester, rows: int = 33) -> None:
 @pytest.mark.parametrize(
     ("mode", "network", "layer_norm", "critics"),
     list(
-        itertools.product(["first", "hard"], ["mlp", "residual", "trunk"], [True, False], [1, 2, 3])
+        itertools.product(
+            ["first", "hard", "soft"], ["mlp", "residual", "trunk"], [True, False], [1, 2, 3]
+        )
     ),
 )
 def test_graph_agrees_for_every_form_of_network(
@@ -84,7 +93,7 @@ def test_graph_agrees_for_every_form_of_network(
     ],
     ids=str,
 )
-@pytest.mark.parametrize("mode", ["uniform", "first", "hard"])
+@pytest.mark.parametrize("mode", ["uniform", "first", "hard", "soft"])
 def test_graph_agrees_for_every_other_option(mode: str, options: dict[str, Any]) -> None:
     """One at a time."""
     assert_agree(make(mode, **options))
@@ -123,14 +132,14 @@ def test_graph_says_what_it_is() -> None:
     assert (told["contract"], told["obs_size"], told["action_size"]) == (CONTRACT, "4", "3")
 
 
-@pytest.mark.parametrize(("mode", "k"), [("uniform", 1), ("first", 1), ("hard", 5)])
-def test_no_graph_asks_for_gumbel_noise(mode: str, k: int) -> None:
+@pytest.mark.parametrize(("mode", "k"), [("uniform", 1), ("first", 1), ("hard", 5), ("soft", 5)])
+def test_graph_asks_for_the_noise_that_it_needs(mode: str, k: int) -> None:
     """An actor feeds what a graph asks for."""
     inputs = session(export(make(mode), 0, {})).get_inputs()
-    assert [(item.name, item.shape) for item in inputs] == [
-        ("obs", ["B", 4]),
-        ("normal", ["B", k, 3]),
-    ]
+    expected: dict[str, list[str | int]] = {"obs": ["B", 4], "normal": ["B", k, 3]}
+    if mode == "soft":
+        expected["gumbel"] = ["B", 5]
+    assert {item.name: item.shape for item in inputs} == expected
 
 
 def test_later_export_has_the_later_weights() -> None:

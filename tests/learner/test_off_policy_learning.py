@@ -106,7 +106,7 @@ def test_acts_at_random_until_something_was_learned(learning: Learn) -> None:
     assert np.quantile(drawn, [0.25, 0.75]) == pytest.approx([-0.5, 0.5], abs=0.05)
     play(run, 0, 4)
     mode = Suggester(run.graph(2, 0.0, {})).metadata
-    assert (mode["mode"], mode["K"]) == ("hard", "10")
+    assert (mode["mode"], mode["K"]) == ("soft", "10")
 
 
 def test_what_is_kept_is_steadier_than_what_actors_play(learning: Learn) -> None:

@@ -26,7 +26,8 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     sac, modern = off_policy("sac", {}), off_policy("modern", {})
     differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
     assert differ == {
-        "act_suggestions", "quantiles", "dropped_quantiles", "network", "tau", "average_updates"
+        "act_suggestions", "quantiles", "dropped_quantiles", "network", "tau", "average_updates",
+        "selection",
     }  # fmt: skip
     assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
@@ -91,6 +92,10 @@ def test_overrides_are_read_by_the_type_of_their_field(
         (
             {"policy_loss": "score", "distil_suggestions": 1, "distil_top": 1},
             "distil_suggestions: found 1, expected at least 2 with policy_loss score",
+        ),
+        (
+            {"initial_temperature": 0},
+            "initial_temperature: found 0.0, expected above 0 with selection soft",
         ),
         ({"kapa": 1}, "unknown hyperparameter 'kapa'.*"),
         ({"taus": 1}, r"unknown hyperparameter 'taus' \(did you mean 'tau'\?\)"),

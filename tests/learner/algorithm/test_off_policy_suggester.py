@@ -56,10 +56,56 @@ def test_optimism_changes_the_choice() -> None:
     assert not torch.equal(calm.suggestion, bold.suggestion)
 
 
+def test_soft_choice_is_a_draw_from_the_boltzmann_distribution_of_q() -> None:
+    """Of many suggestions, by a histogram of the first of two dimensions against a fine grid."""
+    k, rows = 400, 20_000
+    suggester = make(act_suggestions=k, selection="soft", initial_temperature=0.5)
+    suggester.policy.value.mul_(0.3)
+    obs = torch.full((1, 3), 0.3)
+    draw = torch.Generator().manual_seed(3)
+    found = []
+    for _ in range(20):
+        normal = torch.randn(rows // 20, k, 2, generator=draw)
+        gumbel = -torch.empty(rows // 20, k).exponential_(generator=draw).log()
+        found.append(suggester(obs.expand(rows // 20, -1), normal, gumbel).suggestion)
+    counts = torch.histc(torch.cat(found)[:, 0], 20, -1.0, 1.0) / rows
+    grid = (torch.arange(200) + 0.5) / 100 - 1
+    every = torch.cartesian_prod(grid, grid)
+    score = suggester.score(suggester.normaliser(obs), every[None])[0]
+    expected = (score.double() / 0.5).softmax(0).view(20, -1).sum(1).float()
+    assert float(expected.max() / expected.min()) > 3.0  # else a uniform draw would pass as well
+    torch.testing.assert_close(counts, expected, atol=0.012, rtol=0.0)
+
+
+def test_soft_choice_without_noise_has_the_largest_score() -> None:
+    obs, normal = torch.randn(50, 3), noise(50)
+    hard, soft = make(selection="hard"), make(selection="soft")
+    wanted = hard(obs, normal).suggestion
+    assert torch.equal(soft(obs, normal).suggestion, wanted)
+    assert torch.equal(soft(obs, normal, torch.zeros(50, 6)).suggestion, wanted)
+    gumbel = -torch.empty(50, 6).exponential_().log()
+    assert not torch.equal(soft(obs, normal, gumbel).suggestion, wanted)
+
+
+def test_soft_log_prob_tells_the_chance_of_the_draw() -> None:
+    """The policy's density times K times the chance, which a count over many draws finds."""
+    suggester = make(selection="soft", initial_temperature=0.5)
+    obs, normal = torch.randn(1, 3), noise(1)
+    gumbel = -torch.empty(40_000, 6).exponential_().log()
+    drawn = suggester(obs.expand(40_000, -1), normal.expand(40_000, -1, -1), gumbel)
+    one = make(act_suggestions=1)
+    for number in range(6):
+        plain = one(obs, normal[:, number : number + 1])
+        mine = (drawn.suggestion - plain.suggestion).abs().amax(1) < 1e-6
+        chance = (drawn.log_prob - plain.log_prob).exp()[mine] / 6
+        if len(chance) > 100:
+            assert float(chance[0]) == pytest.approx(float(mine.float().mean()), abs=0.01)
+
+
 @pytest.mark.parametrize("k", [1, 6])
 def test_log_prob_is_that_of_the_action_under_the_policy(k: int) -> None:
     """By the change of variables, in double precision, where tanh loses little of u."""
-    suggester = make(act_suggestions=k)
+    suggester = make(act_suggestions=k, selection="hard")
     suggester.policy.value.mul_(0.5)
     obs = torch.randn(9, 3, generator=torch.Generator().manual_seed(5))
     choice = suggester(obs, noise(9, k))
@@ -109,7 +155,7 @@ def test_canonical_interval_spans_the_bounds() -> None:
 def test_several_suggestions_need_critics() -> None:
     """They could only be picked by chance."""
     suggester = make()
-    with pytest.raises(ValueError, match="mode first, K 3: expected K 1 but in mode 'hard'"):
+    with pytest.raises(ValueError, match="mode first, K 3: expected K 1 without critics"):
         OffPolicySuggester(
             normaliser=suggester.normaliser,
             policy=suggester.policy,
@@ -119,4 +165,5 @@ def test_several_suggestions_need_critics() -> None:
             mode="first",
             suggestions=3,
             optimism=0.0,
+            temperature=torch.tensor(0.1),
         )
