@@ -58,16 +58,16 @@ def test_optimism_changes_the_choice() -> None:
 
 def test_soft_choice_is_a_draw_from_the_boltzmann_distribution_of_q() -> None:
     """Of many suggestions, by a histogram of the first of two dimensions against a fine grid."""
-    k, rows = 400, 20_000
+    k, rows = 150, 10_000
     suggester = make(act_suggestions=k, selection="soft", initial_temperature=0.5)
     suggester.policy.value.mul_(0.3)
     obs = torch.full((1, 3), 0.3)
     draw = torch.Generator().manual_seed(3)
     found = []
-    for _ in range(20):
-        normal = torch.randn(rows // 20, k, 2, generator=draw)
-        gumbel = -torch.empty(rows // 20, k).exponential_(generator=draw).log()
-        found.append(suggester(obs.expand(rows // 20, -1), normal, gumbel).suggestion)
+    for _ in range(10):
+        normal = torch.randn(rows // 10, k, 2, generator=draw)
+        gumbel = -torch.empty(rows // 10, k).exponential_(generator=draw).log()
+        found.append(suggester(obs.expand(rows // 10, -1), normal, gumbel).suggestion)
     counts = torch.histc(torch.cat(found)[:, 0], 20, -1.0, 1.0) / rows
     grid = (torch.arange(200) + 0.5) / 100 - 1
     every = torch.cartesian_prod(grid, grid)
