@@ -125,14 +125,14 @@ class OffPolicy:
             averaged: By the average of the policy over time, to be kept and used.
         """
         picks = self.hyper.act_suggestions > 1 and not warms_up
-        mode: OffPolicySuggesterMode = "uniform" if warms_up else "first"
+        unjudged: OffPolicySuggesterMode = "uniform" if warms_up else "first"
         return OffPolicySuggester(
             normaliser=self.learned.normaliser,
             policy=self.learned.average if averaged else self.learned.policy,
             critics=self.learned.critics,
             action_low=action_low,
             action_high=action_high,
-            mode=self.hyper.selection if picks else mode,
+            mode=self.hyper.selection if picks else unjudged,
             suggestions=self.hyper.act_suggestions if picks else 1,
             optimism=self.hyper.optimism,
             temperature=self.learned.log_temperature.exp(),

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from a2s.learner.algorithm.ensemble import Network, Precision
+from a2s.learner.algorithm.hyperparameters import Selection
 from a2s.learner.algorithm.ranges import check, check_most, refuse
 
 OffPolicyLoss = Literal["pathwise", "score"]
 Selector = Literal["one", "mean"]
-ActSelection = Literal["hard", "soft"]
 
 _INTEGERS: dict[str, tuple[int, float]] = {
     "act_suggestions": (1, 1024),
@@ -59,7 +59,7 @@ class OffPolicyHyper:
 
     act_suggestions: int
     """K_act, actions among which Q picks what is executed, at least 1."""
-    selection: ActSelection
+    selection: Selection
     """``hard``: the largest score; ``soft``: drawn, as if from the Boltzmann distribution of Q."""
     optimism: float
     """Beta: what is executed has the largest mean of the critics plus this times their spread."""
