@@ -29,9 +29,9 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 	@echo "== a2s train $(TRAIN_DEFAULTS) $(ARGS)"
 	@$(BIN)/a2s train $(TRAIN_DEFAULTS) $(ARGS)
 
-test: setup ## Run all tests
+test: setup ## Run all tests, two at a time
 	@echo "== pytest"
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(ARGS)
 
 check: setup ## Style, types, layers
 	$(BIN)/ruff check .

@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 _ASK_TIMEOUT_S = 5.0
 _ASK_AGAIN_S = 0.2
 _STATUS_EVERY_S = 1.0
+_LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
 _PATIENCE_S = 10.0
 
@@ -125,7 +126,7 @@ class Actor:
 
         self._waiting_since_s = None
         for segment in rollout.play(suggester, notice, interrupted):
-            while not self._spool.put(segment, timeout_s=_STATUS_EVERY_S) and self._proceed():
+            while not self._spool.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
                 self._say_waiting("room in the spool: the learner does not answer segments")
             self._waiting_since_s = None
 

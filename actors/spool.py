@@ -13,7 +13,7 @@ from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.messages import Ack, Segment
 from a2s.protocol.transport import Bus
 
-_ASK_TIMEOUT_S = 10.0
+_ASK_TIMEOUT_S = 3.0
 _BACK_OFF_S = (0.05, 1.0)
 
 
@@ -56,6 +56,7 @@ class Spool:
         self._waiting: deque[_Waiting] = deque()
         self._steps = 0
         self._answered = 0
+        self._draining = False
         self._closing = False
         self._held_back = False
         self._changed = threading.Condition()
@@ -96,12 +97,16 @@ class Spool:
     def close(self, timeout_s: float) -> int:
         """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
 
+        A learner that does not answer is not asked again: mostly its run is over.
+
         Returns:
             Segments that were never answered.
         """
         deadline = time.monotonic() + timeout_s
         with self._changed:
-            self._changed.wait_for(lambda: not self._waiting, timeout=timeout_s)
+            self._draining = True
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._waiting or self._closing, timeout=timeout_s)
             self._closing = True
             self._changed.notify_all()
         self._thread.join(timeout=max(0.0, deadline - time.monotonic()) + _ASK_TIMEOUT_S)
@@ -119,6 +124,7 @@ class Spool:
                 item = self._waiting[0]
             ack = self._send(item)
             if ack is None:
+                self._give_up()
                 return
             with self._changed:
                 self._waiting.popleft()
@@ -134,7 +140,7 @@ class Spool:
         self._tally.gauge("outbox_transitions", self._steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
-        """Send until answered, or until the spool is closed."""
+        """Send until answered, or until the spool is closed; once only when it is to be emptied."""
         back_off_s, longest_s = _BACK_OFF_S
         while not self._closing:
             begin = time.perf_counter()
@@ -148,6 +154,8 @@ class Spool:
                 self._tally.observe("send_seconds", time.perf_counter() - begin)
                 self._tally.count("acks", result=ack.verdict)
                 return ack
+            if self._draining:
+                return None
             self._tally.count("retries")
             self._pause(back_off_s * random.uniform(0.5, 1.0))
             back_off_s = min(back_off_s * 2, longest_s)
@@ -165,4 +173,9 @@ class Spool:
     def _pause(self, seconds: float) -> None:
         if seconds > 0:
             with self._changed:
-                self._changed.wait_for(lambda: self._closing, timeout=seconds)
+                self._changed.wait_for(lambda: self._draining, timeout=seconds)
+
+    def _give_up(self) -> None:
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()

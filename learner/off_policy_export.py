@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from a2s.learner.algorithm.ensemble import Ensemble, Form, Network
+from a2s.learner.algorithm.ensemble import Ensemble, Form
 from a2s.learner.algorithm.layer_norm import LAYER_NORM_EPS
 from a2s.learner.algorithm.layers import Layer, Linear, Norm, Relu, Residual
+from a2s.learner.algorithm.off_policy_hyper import Network
 from a2s.learner.algorithm.off_policy_suggester import OffPolicySuggester
 from a2s.learner.algorithm.squashed import LOG_NORM, LOG_STD_LEAST, LOG_STD_MOST
 from a2s.learner.graph import Nodes, Numbers, as_array, common_numbers, constant, fill, own_metadata

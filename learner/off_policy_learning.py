@@ -83,7 +83,7 @@ class OffPolicyLearning:
         )
         self._updates = 0
         self._update_s = 0.01
-        self._quota = Quota(hyper.send_every_steps, hyper.send_every_steps, 0)
+        self._quota_steps = hyper.send_every_steps
         self._shown_waits: dict[str, int] = {}
         self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
         self._limiter.count_insert(self._replay.end)
@@ -96,10 +96,13 @@ class OffPolicyLearning:
         return self._updates
 
     def quota(self, num_envs: int) -> Quota:
-        """As many steps of every environment as an actor sends at once."""
+        """As many steps of every environment as an actor sends at once.
+
+        When learning is behind, whatever comes first: actors are held back, and so come late.
+        """
         steps = self._hyper.send_every_steps
-        self._quota = Quota(steps * num_envs, steps, 0)
-        return self._quota
+        self._quota_steps = steps * num_envs
+        return Quota(1 if self._limiter.excess > 0 else self._quota_steps, steps, 0)
 
     def graph(
         self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
@@ -181,7 +184,7 @@ class OffPolicyLearning:
     @property
     def _round(self) -> int:
         """Updates of a round at most."""
-        return 2 * math.ceil(self._quota.batch_steps * self._hyper.updates_per_step)
+        return 2 * math.ceil(self._quota_steps * self._hyper.updates_per_step)
 
     def _update(self) -> OffPolicyStats:
         batch, rows = draw(self._replay, self._hyper, self._rng)

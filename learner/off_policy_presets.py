@@ -7,12 +7,10 @@
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-import torch
-
-from a2s.learner.algorithm.ensemble import Precision
-from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper, Precision
 from a2s.learner.presets import Choice, parse_all
 from a2s.protocol.errors import UsageError, nearest
 
@@ -129,9 +127,8 @@ def choices(preset: str) -> dict[str, Choice]:
 
 
 def _fastest_precision() -> Precision:
-    if not hasattr(torch.cpu, "get_capabilities"):  # an older torch cannot say
-        return "f32"
-    return "bf16" if torch.cpu.get_capabilities().get("amx_bf16", False) else "f32"
+    processor = Path("/proc/cpuinfo")  # torch could say, but takes seconds to import
+    return "bf16" if processor.exists() and "amx_bf16" in processor.read_text() else "f32"
 
 
 def off_policy(preset: str, overrides: Mapping[str, object]) -> OffPolicyHyper:

@@ -69,7 +69,7 @@ def make_notice() -> Callable[..., Notice]:
 def wait_for() -> WaitFor:
     """Wait until something is true, and fail with its name when it never is."""
 
-    def wait(condition: Callable[[], object], what: str, timeout_s: float = 20.0) -> None:
+    def wait(condition: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
         deadline_s = time.monotonic() + timeout_s
         pause = threading.Event()
         while not condition():

@@ -4,15 +4,13 @@ Their gradient is written out: see ``body.py`` for why.
 """
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from a2s.learner.algorithm.layers import Layer, Linear, Norm, Relu, Residual, Weights, run, run_back
-
-Network = Literal["mlp", "residual", "trunk"]
-Precision = Literal["f32", "bf16"]
+from a2s.learner.algorithm.off_policy_hyper import Network, Precision
 
 # Parameters start at multiples of this, so that kernels find them aligned.
 _ALIGNMENT = 16

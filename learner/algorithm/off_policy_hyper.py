@@ -8,10 +8,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from a2s.learner.algorithm.ensemble import Network, Precision
 from a2s.learner.algorithm.hyperparameters import Selection
 from a2s.learner.algorithm.ranges import check, check_most, refuse
 
+Network = Literal["mlp", "residual", "trunk"]
+Precision = Literal["f32", "bf16"]
 OffPolicyLoss = Literal["pathwise", "score"]
 Selector = Literal["one", "mean"]
 

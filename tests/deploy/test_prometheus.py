@@ -24,7 +24,8 @@ import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+# One group: they share one Prometheus.
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.xdist_group("prometheus")]
 
 T = TypeVar("T")
 REQUIRE = "A2S_REQUIRE_PROMETHEUS"
@@ -93,7 +94,7 @@ def started(command: list[str], log: Path, expected_code: int) -> Iterator[Calla
     finally:
         process.send_signal(signal.SIGTERM)
         try:
-            code = process.wait(timeout=30)
+            code = process.wait(timeout=60)
         finally:
             process.kill()
             process.wait()

@@ -138,6 +138,17 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     assert run.hold_s(9.0) == 0.0
 
 
+def test_learning_that_is_behind_goes_on_with_whatever_comes(learning: Learn) -> None:
+    """Those held back deliver little, and a whole batch of it would be long in coming."""
+    run = learning()
+    assert run.quota(num_envs=4) == (20, 5, 0)
+    for seq in range(6):
+        run.keep(segment(seq))
+    assert run.quota(num_envs=4) == (1, 5, 0)
+    run.learn([segment(seq) for seq in range(6)], 0.0, is_behind=False)
+    assert run.quota(num_envs=4) == (20, 5, 0)
+
+
 @pytest.mark.parametrize("steps_behind", [100, 10_000])
 def test_no_wait_is_longer_than_a_round(learning: Learn, steps_behind: int) -> None:
     """Learning that is far behind would stand still as well: a round begins with steps played."""

@@ -14,6 +14,7 @@ FAST = (
     "--set", "batch_steps=256", "--set", "batch_steps_first=256", "--envs", "2",
 )  # fmt: skip
 REACH = ("--env", "a2s_test_envs:Reach-v0")
+PATIENCE_S = 200.0  # for whole runs, on a busy machine too: only a failure takes so long
 
 
 @dataclass
@@ -35,7 +36,7 @@ class Command:
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait for the end."""
         self.process.send_signal(number)
-        return self.process.wait(timeout=30)
+        return self.process.wait(PATIENCE_S)
 
     def workers(self) -> list[psutil.Process]:
         """The living worker processes below it."""

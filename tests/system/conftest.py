@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system_helpers import Command, Start
+from system_helpers import PATIENCE_S, Command, Start
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def run_a2s(tmp_path: Path) -> Callable[..., dict[str, Any]]:
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            timeout=100,
+            timeout=PATIENCE_S,
             check=False,
         )
         assert done.returncode == 0, done.stderr

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from system_helpers import REACH, Start, metrics_port, rows, scrape
+from system_helpers import PATIENCE_S, REACH, Start, metrics_port, rows, scrape
 
 from a2s.learner.ledger import Ledger
 from a2s.learner.replay import directory
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 30 * int(os.environ.get("KILLS", "3")))]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 60 * int(os.environ.get("KILLS", "3")))]
 
 WaitFor = Callable[..., None]
 RunA2S = Callable[..., dict[str, Any]]
@@ -72,7 +72,7 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
     floor, log = 0, run / "segments.log"
     for _ in range(KILLS):
         aim = floor + 150 + rng.randrange(300)
-        wait_for(lambda aim=aim: log.exists() and _steps(log) >= aim, f"{aim} steps", timeout_s=60)
+        wait_for(lambda aim=aim: log.exists() and _steps(log) >= aim, f"{aim} steps", PATIENCE_S)
         os.kill(learner.process.pid, signal.SIGKILL)
         learner.process.wait()
         floor = _acknowledged(run).accepted_steps

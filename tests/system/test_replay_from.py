@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system_helpers import REACH, Start
+from system_helpers import PATIENCE_S, REACH, Start
 
 from a2s.learner.replay import directory
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 RunA2S = Callable[..., dict[str, Any]]
 WaitFor = Callable[..., None]
@@ -73,6 +73,6 @@ def test_a_source_that_is_none_is_one_line(
     start: Start, endpoint: str, arguments: tuple[str, ...], words: str
 ) -> None:
     learner = start("learner", *arguments, "--connect", endpoint, "--metrics-port", "-1")
-    assert learner.process.wait(timeout=60) in (1, 2)
+    assert learner.process.wait(PATIENCE_S) in (1, 2)
     (line,) = learner.log.read_text().splitlines()
     assert words in line

@@ -6,7 +6,8 @@ import pytest
 import torch
 from plain_sac import modules
 
-from a2s.learner.algorithm.ensemble import Ensemble, Form, Network, score_many
+from a2s.learner.algorithm.ensemble import Ensemble, Form, score_many
+from a2s.learner.algorithm.off_policy_hyper import Network
 
 FORMS = [
     ((5, 16, 8, 3), "mlp"),
