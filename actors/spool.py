@@ -102,14 +102,12 @@ class Spool:
         Returns:
             Segments that were never answered.
         """
-        deadline = time.monotonic() + timeout_s
         with self._changed:
             self._draining = True
             self._changed.notify_all()
-            self._changed.wait_for(lambda: not self._waiting or self._closing, timeout=timeout_s)
-            self._closing = True
-            self._changed.notify_all()
-        self._thread.join(timeout=max(0.0, deadline - time.monotonic()) + _ASK_TIMEOUT_S)
+        self._thread.join(timeout_s)
+        self._closing = True
+        self._thread.join(_ASK_TIMEOUT_S)
         left = sum(item.steps for item in self._waiting)
         if left:
             self._tally.count("dropped_transitions", left, reason="shutdown")
@@ -118,13 +116,12 @@ class Spool:
     def _send_all(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closing or bool(self._waiting))
-                if self._closing:
+                self._changed.wait_for(lambda: self._draining or bool(self._waiting))
+                if not self._waiting:
                     return
                 item = self._waiting[0]
             ack = self._send(item)
             if ack is None:
-                self._give_up()
                 return
             with self._changed:
                 self._waiting.popleft()
@@ -174,8 +171,3 @@ class Spool:
         if seconds > 0:
             with self._changed:
                 self._changed.wait_for(lambda: self._draining, timeout=seconds)
-
-    def _give_up(self) -> None:
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()

@@ -84,7 +84,7 @@ def test_a_killed_actor_is_replaced_and_the_accounts_balance(
     victim = actor.workers()[0]
     os.kill(victim.pid, signal.SIGKILL)
     wait_for(lambda: not is_alive(victim.pid), "the death of the worker")
-    wait_for(lambda: len(actor.workers()) == 2, "a replacement")
+    wait_for(lambda: len(actor.workers()) == 2, "a replacement", timeout_s=5.0)
     assert learner.process.wait(PATIENCE_S) == 0, learner.text()
     summary = _summary(path)
     _assert_balance(summary["segments"])
