@@ -6,7 +6,7 @@ PENDULUM = "InvertedPendulum-v5"
 MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
 REFERENCE = "sb3-sac"
 
-_OFF = ("--variant", "off-policy", "--set", "precision=bf16")
+_OFF = ("--variant", "off-policy")
 
 
 def _off(**options: object) -> tuple[str, ...]:

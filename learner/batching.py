@@ -11,6 +11,9 @@ from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.transitions import Transitions
 from a2s.learner.replay import transitions as stored
 from a2s.protocol.messages import Segment
+from a2s.protocol.replay_messages import MOST_STEPS
+
+RETURNS_EVERY_UPDATES = 20
 
 
 def to_batch(segments: Sequence[Segment]) -> Batch:
@@ -50,6 +53,16 @@ class Source(Protocol):
     ) -> stored.Transitions:
         """Draw transitions."""
         ...
+
+
+def draw_returns(source: Source, hyper: OffPolicyHyper, rng: np.random.Generator) -> torch.Tensor:
+    """Draw discounted returns, over as many steps as any source adds up: float32 ``[B]``.
+
+    Raises:
+        A2SError: The source refuses, or is gone.
+    """
+    drawn = source.sample(hyper.batch_rows, rng, n_step=MOST_STEPS, gamma=hyper.gamma)
+    return torch.from_numpy(drawn.reward)
 
 
 def draw(

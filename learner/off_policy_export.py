@@ -92,6 +92,7 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
     if suggester.mode == "soft":
         numbers["temperature"] = as_array(suggester.temperature)
         numbers["log_k"] = constant([math.log(suggester.suggestions)])
+    numbers["return_size"] = as_array(suggester.return_size)
     return numbers | {"optimism": constant(suggester.optimism)}
 
 
@@ -151,9 +152,9 @@ class _Suggester:
         return self.add("ReduceMean", atoms, "axis_2", keepdims=1)
 
     def score(self, seen: str, action: str) -> str:
-        """Scores ``[B, K]``."""
+        """Scores ``[B, K]``, in returns."""
         found = [self.critic(f"q{m}", seen, action) for m in range(self.kind.critics)]
-        every = self.add("Concat", *found, axis=2)
+        every = self.add("Mul", self.add("Concat", *found, axis=2), "return_size")
         mean = self.add("ReduceMean", every, "axis_2", keepdims=1)
         if self.kind.optimistic:
             away = self.add("Sub", every, mean)

@@ -33,11 +33,13 @@ _MODERN: dict[str, Choice] = {
     "critics": Choice(2, "TD3 (Fujimoto et al. 2018)"),
     "quantiles": Choice(25, _TQC),
     "dropped_quantiles": Choice(2, _TQC),
+    "huber_width": Choice(0.02, "a few units of return, as TQC's 1; docs/adr/0012"),
     "network": Choice("residual", "SimBa (Lee et al. 2024); docs/adr/0009"),
     "critic_sizes": Choice((256, 256), _SAC),
     "policy_sizes": Choice((256, 256), _SAC),
     "layer_norm": Choice(True, "Nauman et al. 2024: above remedies particular to RL"),
     "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
+    "normalise_return": Choice(True, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
     "precision": Choice(
         _FASTEST, "of this machine: bf16 if the processor multiplies tiles of it (AMX)"
     ),
@@ -46,7 +48,7 @@ _MODERN: dict[str, Choice] = {
     "distil_suggestions": Choice(4, "where distil_weight is not 0"),
     "distil_top": Choice(1, "paper, equation 6"),
     "entropy_per_action": Choice(-1.0, _SAC),
-    "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
+    "initial_temperature": Choice(0.01, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
     "temperature_learning_rate": Choice(1e-3, _FASTER),
     "average_updates": Choice(1000, "the latest mean action falls now and then; docs/adr/0010"),
     "gamma": Choice(0.99, _SAC),
@@ -74,6 +76,9 @@ _SAC_TEXT: dict[str, Choice] = _MODERN | {
     "quantiles": Choice(1, "SAC's critics have one value"),
     "dropped_quantiles": Choice(0, _UNUSED),
     "network": Choice("mlp", _SAC),
+    "normalise_return": Choice(False, _SAC),
+    "huber_width": Choice(1.0, _UNUSED),
+    "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
 }
 
 _PAPER_TEXT: dict[str, Choice] = _MODERN | {
@@ -88,6 +93,8 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
     "critic_sizes": Choice((128, 64), "paper, section 5"),
     "policy_sizes": Choice((64, 64), "paper, section 5"),
     "normalise_obs": Choice(False, "authors' code"),
+    "normalise_return": Choice(False, _BOX),
+    "huber_width": Choice(1.0, _UNUSED),
     "layer_norm": Choice(True, "authors' code"),
     "precision": Choice("f32", "networks too small to gain"),
     "policy_loss": Choice("score", _BOX),

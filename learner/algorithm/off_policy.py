@@ -39,13 +39,13 @@ class OffPolicyStats(NamedTuple):
     """Numbers of one update, still on the device.
 
     Attributes:
-        q_loss: Of the critics, summed over them, ``[]``.
-        policy_loss: Of the policy gradient, ``[]``.
+        q_loss: Of the critics, summed over them, in units of `ReturnSize`, ``[]``.
+        policy_loss: Of the policy gradient, in the same units, ``[]``.
         distil_loss: Of equation 6, not weighted, ``[]``.
         q_mean: Mean of the critics on the batch before the update, in returns, ``[]``.
         target_mean: Mean of the targets, in returns, ``[]``.
         entropy: Of the policy, estimated from one suggestion a state, nats, ``[]``.
-        temperature: Weight of the entropy after the update, ``[]``.
+        temperature: Weight of the entropy after the update, in returns, ``[]``.
         error: Absolute error of every row, in returns, for priorities, ``[B]``.
     """
 
@@ -67,6 +67,7 @@ class OffPolicy:
         algorithm = OffPolicy(obs_size, action_size, hyper, seed)
         while ...:
             algorithm.observe(new_obs)
+            algorithm.observe_returns(some_returns)
             stats = algorithm.update(replay.sample())
             replay.prioritise(stats.error)
 
@@ -103,6 +104,10 @@ class OffPolicy:
         """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
         self.learned.normaliser.update(obs.to(self.device))
 
+    def observe_returns(self, returns: Tensor) -> None:
+        """Take discounted returns of rows of the replay, float32 ``[N]``, into account."""
+        self.learned.return_size.observe(returns.to(self.device))
+
     def draw_noise(self, rows: int) -> Noise:
         """Draw what an update of so many rows needs: on the CPU, to be the same everywhere."""
         noise = draw_noise(rows, self.action_size, self.hyper, self._noise)
@@ -124,6 +129,7 @@ class OffPolicy:
             warms_up: Act at random: nothing is learned yet.
             averaged: By the average of the policy over time, to be kept and used.
         """
+        return_size = self.learned.return_size()
         picks = self.hyper.act_suggestions > 1 and not warms_up
         unjudged: OffPolicySuggesterMode = "uniform" if warms_up else "first"
         return OffPolicySuggester(
@@ -135,7 +141,8 @@ class OffPolicy:
             mode=self.hyper.selection if picks else unjudged,
             suggestions=self.hyper.act_suggestions if picks else 1,
             optimism=self.hyper.optimism,
-            temperature=self.learned.log_temperature.exp(),
+            temperature=self.learned.log_temperature.exp() * return_size,
+            return_size=return_size,
         )
 
     @torch.no_grad()
@@ -149,6 +156,8 @@ class OffPolicy:
         if noise is None:
             noise = self.draw_noise(len(batch.obs))
         learned = self.learned
+        return_size = learned.return_size()
+        batch = batch._replace(reward=batch.reward / return_size)
         obs, next_obs = learned.normaliser(batch.obs), learned.normaliser(batch.next_obs)
         output, tape = learned.policy.trace(obs)
         policy = gaussian(output[0])
@@ -171,11 +180,11 @@ class OffPolicy:
             q_loss=fit.loss,
             policy_loss=moved.loss,
             distil_loss=distilled.loss if distilled is not None else torch.zeros_like(moved.loss),
-            q_mean=q_mean,
-            target_mean=target.mean(),
+            q_mean=q_mean * return_size,
+            target_mean=target.mean() * return_size,
             entropy=-drawn.log_prob.mean(),
-            temperature=learned.log_temperature.exp(),
-            error=fit.error,
+            temperature=learned.log_temperature.exp() * return_size,
+            error=fit.error * return_size,
         )
 
     def is_finite(self) -> bool:
@@ -236,8 +245,10 @@ class OffPolicy:
         """Regress every critic to the targets; also returns the mean value."""
         critics = self.learned.critics
         q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
-        regress = squared_loss if self.hyper.quantiles == 1 else quantile_loss
-        fit = regress(q_value, target, batch.weight)
+        if self.hyper.quantiles == 1:
+            fit = squared_loss(q_value, target, batch.weight)
+        else:
+            fit = quantile_loss(q_value, target, batch.weight, self.hyper.huber_width)
         critics.differentiate(tape, fit.grad)
         self.learned.adam["critics"].step(critics.grad)
         critics.refresh()

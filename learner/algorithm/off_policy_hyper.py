@@ -43,6 +43,7 @@ _NUMBERS: dict[str, tuple[float, float]] = {
     "critic_learning_rate": (1e-12, 1e3),
     "temperature_learning_rate": (0.0, 1e3),
     "weight_decay": (0.0, 1e3),
+    "huber_width": (1e-9, 1e9),
     "initial_temperature": (0.0, 1e6),
     "entropy_per_action": (-1e3, 1e3),
     "priority_exponent": (0.0, 10.0),
@@ -77,6 +78,8 @@ class OffPolicyHyper:
     """Atoms of each critic; 1: its output is the value itself."""
     dropped_quantiles: int
     """Atoms per critic that a target leaves out, the largest of all; fewer than ``quantiles``."""
+    huber_width: float
+    """Errors of atoms beyond it count by their size, within it by their square."""
     network: Network
     """``mlp``; ``residual``: a block that adds to its input for each size after the first;
     ``trunk``: critics whose first layer sees no action, so that several of one observation cost
@@ -89,6 +92,9 @@ class OffPolicyHyper:
     """Hidden layers are normalised, with gain and offset."""
     normalise_obs: bool
     """Observations are shifted and scaled by their running mean and standard deviation."""
+    normalise_return: bool
+    """Rewards are divided by the root mean square of returns over 64 steps of the replay; the
+    temperature and ``huber_width`` are in units of that."""
     precision: Precision
     """Of matrix products: ``f32``, or ``bf16``, faster where the processor has it."""
 

@@ -8,10 +8,11 @@ from a2s.learner.algorithm.fused_adam import FusedAdam
 from a2s.learner.algorithm.learned import check_tensors
 from a2s.learner.algorithm.networks import Normaliser
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.algorithm.return_size import ReturnSize
 
 
 class OffPolicyLearned:
-    """Networks, their optimisers, the temperature and the normaliser.
+    """Networks, their optimisers, the temperature and the normalisers.
 
     Args:
         obs_size: D.
@@ -22,6 +23,7 @@ class OffPolicyLearned:
 
     Attributes:
         normaliser: Of the observations.
+        return_size: What critics and temperature are in units of.
         policy: One network, ``[D]`` to ``[2 A]``: means and log standard deviations of u.
         critics: E networks, ``[D + A]`` to the M atoms of a value.
         targets: The same, averaged over time.
@@ -44,6 +46,7 @@ class OffPolicyLearned:
             return Ensemble(form, first, precision=hyper.precision)
 
         self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs).to(device)
+        self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
         sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
@@ -92,6 +95,7 @@ class OffPolicyLearned:
         if self.average is not self.policy:
             found["average"] = self.average.value
         found |= {f"normaliser.{name}": each for name, each in self.normaliser.named_buffers()}
+        found |= {f"return_size.{name}": each for name, each in self.return_size.tensors().items()}
         for name, adam in self.adam.items():
             found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}
         return found

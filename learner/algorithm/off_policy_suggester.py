@@ -43,6 +43,7 @@ class OffPolicySuggester:
         optimism: Beta: a score is the mean of the critics plus this times their standard
             deviation (over the critics that there are: half the difference of two).
         temperature: Of ``soft``, in returns, ``[]``.
+        return_size: What the critics are in units of, ``[]``.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class OffPolicySuggester:
         suggestions: int,
         optimism: float,
         temperature: Tensor,
+        return_size: Tensor,
     ) -> None:
         if mode in ("uniform", "first") and suggestions != 1:
             raise ValueError(f"mode {mode}, K {suggestions}: expected K 1 without critics")
@@ -69,6 +71,7 @@ class OffPolicySuggester:
         self.suggestions = suggestions
         self.optimism = optimism
         self.temperature = temperature
+        self.return_size = return_size
 
     @torch.no_grad()
     def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
@@ -109,10 +112,15 @@ class OffPolicySuggester:
         return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def score(self, seen: Tensor, action: Tensor) -> Tensor:
-        """Optimistic scores: normalised ``[B, D]`` and canonical ``[B, K, A]`` to ``[B, K]``."""
+        """Optimistic scores, in returns, of normalised and canonical: ``[B, K]``.
+
+        Args:
+            seen: ``[B, D]``.
+            action: ``[B, K, A]``.
+        """
         form, weights = _in_float32(self.critics)
         shared = action.expand(self.critics.members, *action.shape)
-        q_value = score_many(form, weights, seen, shared).mean(-1)
+        q_value = score_many(form, weights, seen, shared).mean(-1) * self.return_size
         spread = (q_value - q_value.mean(0)).square().mean(0).sqrt()
         return q_value.mean(0) + self.optimism * spread
 

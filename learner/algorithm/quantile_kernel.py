@@ -16,7 +16,7 @@ _ZERO, _HALF, _ONE = _F(0.0), _F(0.5), _F(1.0)
 @numba.njit(  # type: ignore[untyped-decorator]
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}
 )
-def fill(q_value: Array, target: Array, loss: Array, grad: Array) -> None:
+def fill(q_value: Array, target: Array, loss: Array, grad: Array, width: np.float32) -> None:
     """Fill, with means over the atoms of the target, ``loss`` and ``grad``.
 
     Args:
@@ -24,9 +24,11 @@ def fill(q_value: Array, target: Array, loss: Array, grad: Array) -> None:
         target: ``[B, M']``.
         loss: Written: of each atom, ``[E, B, M]``.
         grad: Written: its gradient by the atom, ``[E, B, M]``.
+        width: Kappa.
     """
     members, rows, atoms = q_value.shape
     share = _ONE / _F(target.shape[1])
+    narrow, half_width = _ONE / width, _HALF * width
     for e in range(members):
         for b in range(rows):
             wanted = target[b]
@@ -36,9 +38,9 @@ def fill(q_value: Array, target: Array, loss: Array, grad: Array) -> None:
                 value, force, cost = q_value[e, b, m], _ZERO, _ZERO
                 for k in range(len(wanted)):
                     delta = wanted[k] - value
-                    limited = min(max(delta, -_ONE), _ONE)
+                    limited = min(max(delta * narrow, -_ONE), _ONE)
                     blamed = limited * (below if delta < _ZERO else above)
                     force += blamed
-                    cost += blamed * (delta - _HALF * limited)
+                    cost += blamed * (delta - half_width * limited)
                 loss[e, b, m] = cost * share
                 grad[e, b, m] = -force * share

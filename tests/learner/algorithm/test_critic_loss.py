@@ -17,19 +17,23 @@ def test_squared_loss_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("atoms", "target", "expected"),
+    ("atoms", "target", "width", "expected"),
     [
-        ([0.0], [0.5], 0.0625),  # median: .5 * .5 * .25
-        ([0.0], [-0.5], 0.0625),
-        ([0.0], [3.0], 1.25),  # beyond 1: .5 * (3 - .5)
-        ([0.0, 0.0], [1.0], 0.25),  # levels .25, .75: mean(.25, .75) * .5
-        ([1.0, 0.0], [0.0], 0.1875),  # the first is too high: (1 - .25) * .5, / 2
-        ([0.0], [0.5, -0.5, 3.0], 0.458333),  # mean over the targets
+        ([0.0], [0.5], 1.0, 0.0625),  # median: .5 * .5 * .25
+        ([0.0], [-0.5], 1.0, 0.0625),
+        ([0.0], [3.0], 1.0, 1.25),  # beyond 1: .5 * (3 - .5)
+        ([0.0, 0.0], [1.0], 1.0, 0.25),  # levels .25, .75: mean(.25, .75) * .5
+        ([1.0, 0.0], [0.0], 1.0, 0.1875),  # the first is too high: (1 - .25) * .5, / 2
+        ([0.0], [0.5, -0.5, 3.0], 1.0, 0.458333),  # mean over the targets
+        ([0.0], [0.5], 0.2, 0.2),  # beyond .2: .5 * (.5 - .1)
+        ([0.0], [0.5], 2.0, 0.03125),  # within 2: .5 * .5 * .25 / 2
     ],
 )
-def test_quantile_loss_by_hand(atoms: list[float], target: list[float], expected: float) -> None:
+def test_quantile_loss_by_hand(
+    atoms: list[float], target: list[float], width: float, expected: float
+) -> None:
     """One critic, one row."""
-    found = quantile_loss(torch.tensor([[atoms]]), torch.tensor([target]), torch.ones(1))
+    found = quantile_loss(torch.tensor([[atoms]]), torch.tensor([target]), torch.ones(1), width)
     assert float(found.loss) == pytest.approx(expected, abs=1e-6)
 
 
@@ -41,19 +45,19 @@ def test_gradients_are_those_of_autograd(atoms: int, precise: torch.dtype) -> No
     q_value = torch.randn(3, 6, atoms, generator=generator, dtype=precise, requires_grad=True)
     target = 2.0 * torch.randn(6, atoms if atoms == 1 else 7, generator=generator, dtype=precise)
     weight = torch.rand(6, generator=generator, dtype=precise)
-    regress = squared_loss if atoms == 1 else quantile_loss
     if atoms == 1:
         loss = (0.5 * weight * (q_value - target).square().squeeze(2)).mean(1).sum()
+        found = squared_loss(q_value.detach(), target, weight)
     else:
-        loss = slow_quantile_loss(q_value, target, weight)
+        loss = slow_quantile_loss(q_value, target, weight, width=0.7)
+        found = quantile_loss(q_value.detach(), target, weight, 0.7)
     torch.autograd.backward(loss)
-    found = regress(q_value.detach(), target, weight)
     assert q_value.grad is not None
     torch.testing.assert_close(found.loss, loss.detach())
     torch.testing.assert_close(found.grad, q_value.grad)
 
 
-def slow_quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+def slow_quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor, width: float) -> Tensor:
     """Dabney et al. 2018, equation 10, one pair at a time."""
     members, rows, atoms = q_value.shape
     total = torch.zeros(())
@@ -62,7 +66,8 @@ def slow_quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> Tenso
             for i in range(atoms):
                 for wanted in target[row]:
                     u = wanted - q_value[member, row, i]
-                    huber = 0.5 * u**2 if float(u.abs().detach()) <= 1.0 else u.abs() - 0.5
+                    near = float(u.abs().detach()) <= width
+                    huber = 0.5 * u**2 / width if near else u.abs() - 0.5 * width
                     level = (i + 0.5) / atoms
                     blame = abs(level - float(u.detach() < 0))
                     share = weight[row] / (rows * atoms * target.shape[1])
@@ -76,7 +81,7 @@ def test_quantiles_settle_at_the_quantiles() -> None:
     atoms = torch.zeros(1, 1, 4)
     for _ in range(3000):
         target = 0.8 * torch.rand(1, 64, generator=generator)
-        atoms -= 0.5 * quantile_loss(atoms, target, torch.ones(1)).grad
+        atoms -= 0.5 * quantile_loss(atoms, target, torch.ones(1), 1.0).grad
     found = atoms.flatten() / 0.8
     assert bool((found.diff() > 0.1).all())
     assert float(found.mean()) == pytest.approx(0.5, abs=0.03)

@@ -166,4 +166,5 @@ def test_several_suggestions_need_critics() -> None:
             suggestions=3,
             optimism=0.0,
             temperature=torch.tensor(0.1),
+            return_size=torch.tensor(1.0),
         )
