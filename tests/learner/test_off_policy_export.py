@@ -33,6 +33,7 @@ def make(mode: str, **options: Any) -> OffPolicySuggester:
             view += 0.3 * torch.randn(view.shape, generator=generator)
         ensemble.refresh()
     algorithm.observe(2.0 * torch.randn(100, 4, generator=generator) + 1.0)
+    algorithm.observe_returns(torch.tensor([3.0, -4.0]))
     suggester = algorithm.suggester(LOW, HIGH, warms_up=mode == "uniform")
     assert suggester.mode == mode
     return suggester
@@ -83,6 +84,7 @@ def test_graph_agrees_for_every_form_of_network(
     "options",
     [
         {"normalise_obs": False},
+        {"normalise_return": False},
         {"optimism": 0.0},
         {"optimism": -2.0, "critics": 4},
         {"quantiles": 7, "dropped_quantiles": 1},

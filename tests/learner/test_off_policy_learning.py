@@ -1,5 +1,6 @@
 """The off-policy variant in the learner's loop: how much is learned, from what, when to wait."""
 
+import dataclasses
 import shutil
 import time
 from collections.abc import Callable
@@ -90,6 +91,24 @@ def test_errors_become_priorities_where_they_count(
     (file,) = (tmp_path / "run" / "replay").glob("priority-*.f32")
     priorities = np.fromfile(file, np.float32)[:100]
     assert bool((priorities != 1.0).any()) is prioritised
+
+
+def test_the_size_of_returns_is_that_of_the_replay(learning: Learn) -> None:
+    """Rewards of 1, episodes of 5 steps, a half of what follows: 1.9375, 1.875, 1.75, 1.5, 1."""
+    run = learning(batch_rows=900, gamma=0.5)
+    for seq in range(20):
+        run.keep(dataclasses.replace(segment(seq), reward=np.ones(5, np.float32)))
+    run.learn([segment(99)], 0.0, is_behind=False)
+    expected = np.mean(np.square([1.9375, 1.875, 1.75, 1.5, 1.0]))
+    found = run.state()[0]["return_size.mean_square"]
+    assert float(found) == pytest.approx(expected, abs=0.15)
+
+
+def test_a_size_that_is_not_wanted_draws_nothing(learning: Learn) -> None:
+    """So that a run of `sac` draws the rows that it drew before there was one."""
+    run = learning(normalise_return=False)
+    play(run, 0, 8)
+    assert float(run.state()[0]["return_size.samples"]) == 0.0
 
 
 def test_half_an_update_a_step(learning: Learn) -> None:

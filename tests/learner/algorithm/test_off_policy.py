@@ -89,6 +89,36 @@ def compare_to_plain_sac(algorithm: OffPolicy, updates: int, near: float) -> Non
                 torch.testing.assert_close(one, other, rtol=near, atol=near)
 
 
+@pytest.mark.parametrize("quantiles", [1, 5])
+def test_the_unit_of_rewards_does_not_matter(quantiles: int) -> None:
+    """Eight times the rewards: the same weights to the bit, and eight times what is reported."""
+    options = {"normalise_return": True, "quantiles": quantiles, "dropped_quantiles": 0}
+    one, other = (make("modern", **options) for _ in range(2))
+    one.observe_returns(torch.tensor([3.0, -4.0]))
+    other.observe_returns(torch.tensor([24.0, -32.0]))
+    for number in range(5):
+        rows = batch(number)
+        small = one.update(rows)
+        large = other.update(rows._replace(reward=8.0 * rows.reward))
+    for name in ("policy", "critics", "targets"):
+        assert torch.equal(getattr(one.learned, name).value, getattr(other.learned, name).value)
+    for name in ("q_mean", "target_mean", "temperature", "error"):
+        assert torch.equal(8.0 * getattr(small, name), getattr(large, name))
+    assert (small.q_loss, small.policy_loss) == (large.q_loss, large.policy_loss)
+
+
+def test_returns_are_learned_in_units_of_their_size() -> None:
+    """With rewards divided by 5 before, and nothing to normalise, it is the same to the bit."""
+    plain = make("modern", normalise_return=False)
+    ours = make("modern")
+    ours.observe_returns(torch.tensor([5.0, -5.0]))
+    for number in range(3):
+        rows = batch(number)
+        plain.update(rows._replace(reward=rows.reward / 5.0))
+        ours.update(rows)
+    assert torch.equal(plain.learned.critics.value, ours.learned.critics.value)
+
+
 @pytest.mark.parametrize("name", ["act_suggestions", "optimism", "send_every_steps"])
 def test_acting_has_no_part_in_the_update(name: str) -> None:
     """So the presets ``sac`` and ``modern`` differ in what they learn from, too."""

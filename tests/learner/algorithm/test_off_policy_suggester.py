@@ -49,6 +49,17 @@ def test_choice_has_the_largest_mean_plus_spread(optimism: float) -> None:
         assert float(choice.q_spread[row]) == pytest.approx(spread, abs=1e-4)
 
 
+def test_scores_and_temperature_are_in_returns() -> None:
+    """Critics and temperature learned in units of 5: the same choices, five times the spread."""
+    small, large = make(selection="soft"), make(selection="soft")
+    large.return_size, large.temperature = torch.tensor(5.0), 5.0 * large.temperature
+    gumbel = torch.randn(40, 6, generator=torch.Generator().manual_seed(5))
+    obs, normal = torch.randn(40, 3), noise(40)
+    one, other = small(obs, normal, gumbel), large(obs, normal, gumbel)
+    assert torch.equal(one.suggestion, other.suggestion)
+    torch.testing.assert_close(5.0 * one.q_spread, other.q_spread)
+
+
 def test_optimism_changes_the_choice() -> None:
     """Else the test above would say little."""
     obs, normal = torch.randn(50, 3), noise(50)
