@@ -105,10 +105,12 @@ def test_the_size_of_returns_is_that_of_the_replay(learning: Learn) -> None:
 
 
 def test_a_size_that_is_not_wanted_draws_nothing(learning: Learn) -> None:
-    """So that a run of `sac` draws the rows that it drew before there was one."""
+    """Eight numbers an update, for its rows, and no more."""
     run = learning(normalise_return=False)
-    play(run, 0, 8)
-    assert float(run.state()[0]["return_size.samples"]) == 0.0
+    updates = play(run, 0, 8)
+    expected = np.random.default_rng(np.random.SeedSequence([7, 1]))
+    expected.random((updates, 8))
+    assert run.state()[1]["rng"] == expected.bit_generator.state
 
 
 def test_half_an_update_a_step(learning: Learn) -> None:
