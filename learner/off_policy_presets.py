@@ -49,7 +49,7 @@ _MODERN: dict[str, Choice] = {
     "distil_top": Choice(1, "paper, equation 6"),
     "entropy_per_action": Choice(-1.0, _SAC),
     "initial_temperature": Choice(0.01, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
-    "temperature_learning_rate": Choice(1e-3, _FASTER),
+    "temperature_learning_rate": Choice(3e-4, "SAC; 1e-3 explores too little; docs/adr/0014"),
     "average_updates": Choice(1000, "the latest mean action falls now and then; docs/adr/0010"),
     "gamma": Choice(0.99, _SAC),
     "tau": Choice(0.02, "faster from the start in every probe; docs/adr/0009"),
@@ -79,6 +79,7 @@ _SAC_TEXT: dict[str, Choice] = _MODERN | {
     "normalise_return": Choice(False, _SAC),
     "huber_width": Choice(1.0, _UNUSED),
     "initial_temperature": Choice(0.1, "from 1 it is 5,000 updates on the way; docs/adr/0008"),
+    "temperature_learning_rate": Choice(1e-3, _FASTER),
 }
 
 _PAPER_TEXT: dict[str, Choice] = _MODERN | {

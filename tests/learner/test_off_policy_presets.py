@@ -22,12 +22,13 @@ def test_every_preset_is_complete_and_valid(preset: str) -> None:
 
 
 def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> None:
-    """The same rates and sizes, and observations normalised."""
+    """The same sizes and rates of the networks, and observations normalised."""
     sac, modern = off_policy("sac", {}), off_policy("modern", {})
     differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
     assert differ == {
         "act_suggestions", "quantiles", "dropped_quantiles", "network", "tau", "average_updates",
         "selection", "normalise_return", "huber_width", "initial_temperature",
+        "temperature_learning_rate",
     }  # fmt: skip
     assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
