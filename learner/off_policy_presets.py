@@ -1,7 +1,7 @@
 """Named sets of off-policy hyperparameters, and where each value comes from.
 
 ``modern`` is meant for use: ten suggestions to act by, critics of quantiles, residual networks.
-``sac`` is SAC with the same rates and normalisation: one suggestion, two values, plain networks.
+``sac`` is SAC with normalised observations: one suggestion, two values, plain networks.
 ``paper`` is algorithm 2 of the paper as printed.
 """
 
