@@ -58,7 +58,7 @@ def test_without_a_baseline_there_is_no_ratio(monkeypatch: pytest.MonkeyPatch) -
     ("suite", "names"),
     [
         ("actor", ["Hopper-v5: a2s, K 10", "HalfCheetah-v5: random actions"]),
-        ("learner", ["a2s sac, f32", "a2s sac, bf16, K_target 4"]),
+        ("learner", ["a2s sac, f32", "a2s modern, f32"]),
         ("wire", ["encode: a2s", "acknowledged: zenoh", "acknowledged: bare tcp"]),
         ("replay", ["uniform sample: a2s, files", "open 1,000,000 rows"]),
     ],
