@@ -10,7 +10,10 @@ from typer.testing import CliRunner
 from a2s import cli
 from a2s.commands import bench
 from a2s.commands.bench import Contender, Contest
+from a2s.learner.off_policy_presets import off_policy
 from a2s.protocol.errors import UsageError
+
+FASTEST = off_policy("sac", {}).precision
 
 
 def _clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], Callable[[], None]]:
@@ -58,7 +61,7 @@ def test_without_a_baseline_there_is_no_ratio(monkeypatch: pytest.MonkeyPatch) -
     ("suite", "names"),
     [
         ("actor", ["Hopper-v5: a2s, K 10", "HalfCheetah-v5: random actions"]),
-        ("learner", ["a2s sac, f32", "a2s modern, f32"]),
+        ("learner", ["a2s sac, f32", f"a2s sac, {FASTEST}, K_target 4"]),
         ("wire", ["encode: a2s", "acknowledged: zenoh", "acknowledged: bare tcp"]),
         ("replay", ["uniform sample: a2s, files", "open 1,000,000 rows"]),
     ],
