@@ -13,7 +13,7 @@ from a2s.learner.replay import transitions as stored
 from a2s.protocol.messages import Segment
 from a2s.protocol.replay_messages import MOST_STEPS
 
-RETURNS_EVERY_UPDATES = 20
+_RETURNS_EVERY_UPDATES = 20
 
 
 def to_batch(segments: Sequence[Segment]) -> Batch:
@@ -53,6 +53,11 @@ class Source(Protocol):
     ) -> stored.Transitions:
         """Draw transitions."""
         ...
+
+
+def wants_returns(hyper: OffPolicyHyper, updates: int) -> bool:
+    """Whether returns are to be drawn before the next update, after so many."""
+    return hyper.normalise_return and updates % _RETURNS_EVERY_UPDATES == 0
 
 
 def draw_returns(source: Source, hyper: OffPolicyHyper, rng: np.random.Generator) -> torch.Tensor:

@@ -16,7 +16,7 @@ from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.recorded_update import update_of
 from a2s.learner.algorithm.transitions import Transitions
-from a2s.learner.batching import RETURNS_EVERY_UPDATES, Source, draw, draw_returns
+from a2s.learner.batching import Source, draw, draw_returns, wants_returns
 from a2s.learner.configuration import Configuration
 from a2s.learner.ledger import Accounts
 from a2s.learner.memory import keep_freed_memory
@@ -130,7 +130,7 @@ class FromReplay:
         while self._at.env_steps < self._run.total_steps and not stopped():
             made = RoundMeans()
             for number in range(_ROUND):
-                if self._hyper.normalise_return and number % RETURNS_EVERY_UPDATES == 0:
+                if wants_returns(self._hyper, self._at.updates + number):
                     returns = ahead.submit(draw_returns, self._source, self._hyper, self._rng)
                     self._algorithm.observe_returns(returns.result())
                 batch, coming = coming.result(), ahead.submit(self._draw)

@@ -13,7 +13,7 @@ from torch import Tensor
 from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.recorded_update import update_of
-from a2s.learner.batching import RETURNS_EVERY_UPDATES, draw, draw_returns
+from a2s.learner.batching import draw, draw_returns, wants_returns
 from a2s.learner.configuration import Device
 from a2s.learner.learning import Outcome, Quota
 from a2s.learner.ledger import Ledger
@@ -187,7 +187,7 @@ class OffPolicyLearning:
         return 2 * math.ceil(self._quota_steps * self._hyper.updates_per_step)
 
     def _update(self) -> OffPolicyStats:
-        if self._hyper.normalise_return and self._updates % RETURNS_EVERY_UPDATES == 0:
+        if wants_returns(self._hyper, self._updates):
             self._algorithm.observe_returns(draw_returns(self._replay, self._hyper, self._rng))
         batch, rows = draw(self._replay, self._hyper, self._rng)
         stats = self._learn_from(batch)
