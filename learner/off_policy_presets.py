@@ -65,7 +65,7 @@ _MODERN: dict[str, Choice] = {
     "priority_exponent": Choice(0.6, "Schaul et al. 2016, table 3"),
     "importance_exponent": Choice(0.4, "Schaul et al. 2016, table 3"),
     "send_every_steps": Choice(8, "a round of 16 environments is then 128 steps"),
-    "lead_steps": Choice(16, "measured: at 256 a half of the return; docs/adr/0013"),
+    "lead_steps": Choice(16, "at 256 actors play weights 250 updates old; docs/adr/0013"),
 }
 
 _SAC_TEXT: dict[str, Choice] = _MODERN | {

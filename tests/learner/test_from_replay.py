@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from a2s.learner import checkpoint
 from a2s.learner.configuration import assemble
 from a2s.learner.from_replay import FromReplay
 from a2s.learner.metrics import LearnerMetrics
@@ -38,11 +39,11 @@ def replay(reward: float) -> Replay:
     return made
 
 
-def learner(path: Path, source: Replay) -> FromReplay:
+def learner(path: Path, source: Replay, **changed: str) -> FromReplay:
     """Learn for 100 updates."""
     options = {"variant": "off-policy", "preset": "sac", "total_steps": 100}
     return FromReplay(
-        configuration=assemble(options, SMALL),
+        configuration=assemble(options, SMALL | changed),
         spaces=SPACES,
         source=source,
         size=lambda: len(source),
@@ -63,3 +64,13 @@ def test_the_end_is_kept(tmp_path: Path) -> None:
     summary = learner(tmp_path, replay(1.0)).run(lambda: False)
     assert (summary["updates"], summary["finished"]) == (100, True)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000100"]
+
+
+def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_update(
+    tmp_path: Path,
+) -> None:
+    """Rewards of 3, of what follows a thousandth: 3.003, and 3 at the end."""
+    learner(tmp_path, replay(3.0), normalise_return="true", gamma="0.001").run(lambda: False)
+    tensors, _ = checkpoint.load(tmp_path / "checkpoints")
+    assert float(tensors["return_size.samples"]) == 5
+    assert float(tensors["return_size.mean_square"]) == pytest.approx(9.017, abs=0.02)
