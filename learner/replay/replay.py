@@ -99,13 +99,13 @@ class Replay:
     def highest_priority(self, value: float) -> None:
         self._priorities.highest = value
 
-    def insert(self, segment: Segment) -> Rows:
+    def insert(self, segment: Segment) -> range:
         """Add the steps of a segment, evicting as many of the oldest as do not fit.
 
         In a directory they survive the death of this process when this returns.
 
         Returns:
-            The numbers of their rows, int64 ``[T]``.
+            The numbers of their rows, T of them.
 
         Raises:
             MalformedMessageError: The segment is of another environment.
@@ -116,7 +116,7 @@ class Replay:
             first = self._ring.end
             while (done := self._ring.end - first) < segment.num_steps:
                 self._insert_piece(segment, done)
-            return np.arange(first, self._ring.end)
+            return range(first, self._ring.end)
 
     def sample(
         self,
@@ -241,10 +241,10 @@ class Replay:
         total = reward.copy()
         for k in range(1, n_step):
             following = ring.follow(row)
-            goes_on = following >= 0
+            goes_on = following > row
             if not goes_on.any():
                 break
-            row = np.where(goes_on, following, row)
+            row = following
             reward = ring.slots.outcome[ring.slot(row), 0]
             total += np.where(goes_on, discounts[k] * reward, np.float32(0.0))
             steps += goes_on

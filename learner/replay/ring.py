@@ -49,7 +49,7 @@ class Ring:
         self.slots = slots
         self.begin = 0
         self.end = 0
-        self._successor: Rows = np.full(len(slots), -1, np.int64)
+        self._distance = np.zeros(len(slots), np.int32)  # rows to the next step of the episode
         self._tails: dict[tuple[str, int], _Tail] = {}
         self._most_tails = _FEW_STREAMS
 
@@ -64,17 +64,18 @@ class Ring:
         """
         end = min(segment.num_steps, begin + self.room)
         is_last = end == segment.num_steps
-        rows = self.stretch(self.end, end - begin)
-        rows.obs[:] = segment.obs[begin:end]
-        rows.action[:] = segment.suggestion[begin:end]
-        rows.next_obs[:-1] = segment.obs[begin + 1 : end]
-        rows.next_obs[-1] = segment.final_obs if is_last else segment.obs[end]
-        rows.outcome[:, 0] = segment.reward[begin:end]
-        rows.outcome[:, 1] = 1.0
+        slots, first = self.slots, self.end % len(self.slots)
+        last = first + end - begin - 1
+        slots.obs[first : last + 1] = segment.obs[begin:end]
+        slots.action[first : last + 1] = segment.suggestion[begin:end]
+        slots.next_obs[first:last] = segment.obs[begin + 1 : end]
+        slots.next_obs[last] = segment.final_obs if is_last else segment.obs[end]
+        slots.outcome[first : last + 1, 0] = segment.reward[begin:end]
+        slots.outcome[first : last + 1, 1] = 1.0
         flags = STARTS if begin == 0 and segment.episode_length == segment.num_steps else 0
         if is_last:
             flags |= TERMINATED * segment.terminated | TRUNCATED * segment.truncated
-            rows.outcome[-1, 1] = not segment.terminated
+            slots.outcome[last, 1] = not segment.terminated
         else:
             flags |= CONTINUES
         return Record(
@@ -92,11 +93,11 @@ class Ring:
     def admit(self, record: Record) -> None:
         """Make written rows live, link them, and evict the oldest beyond the capacity."""
         slot = record.row % len(self.slots)
-        numbers = np.arange(record.row + 1, record.end + 1)
-        self._successor[slot : slot + record.steps] = numbers
-        self._successor[slot + record.steps - 1] = -1
+        last = slot + record.steps - 1
+        self._distance[slot:last] = 1
+        self._distance[last] = 0
         if record.previous >= self.begin:
-            self._successor[record.previous % len(self.slots)] = record.row
+            self._distance[record.previous % len(self.slots)] = record.row - record.previous
         self.end = record.end
         self.begin = max(self.begin, self.end - self.capacity)
         self._remember(record)
@@ -114,21 +115,20 @@ class Ring:
             return
         self.begin = max(int(numbers["row"][0]), end - self.capacity)
         size = len(self.slots)
-        row = np.arange(self.begin, self.end)
-        self._successor[row % size] = row + 1
+        self._distance[np.arange(self.begin, self.end) % size] = 1
         last = numbers["row"] + numbers["steps"] - 1
-        self._successor[last[last >= self.begin] % size] = -1
+        self._distance[last[last >= self.begin] % size] = 0
         linked = numbers[numbers["previous"] >= self.begin]
-        self._successor[linked["previous"] % size] = linked["row"]
+        self._distance[linked["previous"] % size] = linked["row"] - linked["previous"]
         for record in live:
             self._remember(record)
 
     def follow(self, row: Rows) -> Rows:
-        """Find the next step of the same episode, ``[B]``; -1 where it ended or none is known.
+        """Find the next step of the same episode, ``[B]``; the row itself where none is known.
 
-        A row's successor is always newer, so a live row's is live.
+        What follows is always newer, so what follows a live row is live.
         """
-        return self._successor.take(row % len(self.slots))
+        return row + self._distance.take(row % len(self.slots))
 
     def slot(self, row: Rows) -> Rows:
         """Find where rows lie, ``[B]``."""

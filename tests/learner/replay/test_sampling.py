@@ -72,12 +72,12 @@ def test_n_steps_end_with_the_episode_however_it_was_cut(
     """Termination bootstraps nothing, truncation and the newest step do; segments are invisible."""
     replay = Replay.in_memory(ENV_ID, SPACES, 100)
     obs, reward = [10.0, 11.0, 12.0, 13.0], [1.0, 2.0, 4.0]
-    where = []
+    where: list[int] = []
     for begin, stop in zip([0, *cuts], [*cuts, 3], strict=True):
         segment = make_segment(
             obs[begin : stop + 1], reward[begin:stop], before=begin, end=end if stop == 3 else ""
         )
-        where += replay.insert(segment).tolist()
+        where += replay.insert(segment)
         # Another stream comes in between.
         replay.insert(make_segment([70.0, 71.0], [8.0], actor="b", before=begin))
     found = targets(replay, n_step, 0.5)
@@ -109,9 +109,7 @@ def test_every_row_is_that_of_the_oracle(
     for (actor, env), steps, end, lost in played:
         segment = oracle.play(actor, env, steps, end, lost=lost)
         if not lost:
-            assert replay.insert(segment).tolist() == list(
-                range(len(oracle.steps) - steps, len(oracle.steps))
-            )
+            assert replay.insert(segment) == range(len(oracle.steps) - steps, len(oracle.steps))
     assert_equals(replay, oracle, n_step)
 
 
