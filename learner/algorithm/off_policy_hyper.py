@@ -156,8 +156,11 @@ class OffPolicyHyper:
         if self.dropped_quantiles >= self.quantiles:
             expected = f"fewer than quantiles ({self.quantiles})"
             refuse("dropped_quantiles", self.dropped_quantiles, expected)
-        if self.selection == "soft" and self.initial_temperature == 0.0:
-            refuse("initial_temperature", 0.0, "above 0 with selection soft")
+        if self.initial_temperature == 0.0:
+            if self.temperature_learning_rate > 0.0:
+                refuse("initial_temperature", 0.0, "above 0 where temperature_learning_rate is")
+            if self.selection == "soft" and self.act_suggestions > 1:
+                refuse("initial_temperature", 0.0, "above 0 with selection soft")
         if self.network == "trunk" and len(self.critic_sizes) < 2:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
         if self.policy_loss == "score" and self.distil_suggestions == 1:

@@ -95,8 +95,12 @@ def test_overrides_are_read_by_the_type_of_their_field(
             "distil_suggestions: found 1, expected at least 2 with policy_loss score",
         ),
         (
-            {"initial_temperature": 0},
+            {"initial_temperature": 0, "temperature_learning_rate": 0},
             "initial_temperature: found 0.0, expected above 0 with selection soft",
+        ),
+        (
+            {"initial_temperature": 0, "selection": "hard"},
+            "initial_temperature: found 0.0, expected above 0 where temperature_learning_rate is",
         ),
         ({"kapa": 1}, "unknown hyperparameter 'kapa'.*"),
         ({"taus": 1}, r"unknown hyperparameter 'taus' \(did you mean 'tau'\?\)"),
@@ -106,6 +110,12 @@ def test_wrong_values_are_refused_in_one_line(overrides: dict[str, object], mess
     """Subject, what was found, what was expected."""
     with pytest.raises(UsageError, match=f"^{message}$"):
         off_policy("modern", overrides)
+
+
+def test_no_temperature_is_needed_where_nothing_is_drawn_among() -> None:
+    """With one suggestion ``soft`` and ``hard`` are the same."""
+    without = {"initial_temperature": 0, "temperature_learning_rate": 0}
+    assert off_policy("modern", without | {"act_suggestions": 1}).initial_temperature == 0
 
 
 def test_unknown_preset_names_the_nearest() -> None:
