@@ -47,7 +47,7 @@ LABELS: dict[str, tuple[str, ...]] = {
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "off-policy-k1": _off(act_suggestions=1),
-    "gamma-0.995": _off(gamma=0.995),
+    "gamma-0.99": _off(gamma=0.99),
     **_BEST_OF_K,
     **_PARTS,
 }
@@ -110,7 +110,7 @@ SUITES = {
     "100k": Suite(
         "off_policy",
         (*MUJOCO, "Ant-v5"),
-        (*_BOTH, "gamma-0.995", REFERENCE),
+        (*_BOTH, "gamma-0.99", REFERENCE),
         (0, 1, 2),
         100_000,
         1,

@@ -22,18 +22,18 @@ def test_every_preset_is_complete_and_valid(preset: str) -> None:
 
 
 def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> None:
-    """The same sizes and rates of the networks, and observations normalised."""
+    """The same sizes and rates of the networks, observations normalised; its own discount."""
     sac, modern = off_policy("sac", {}), off_policy("modern", {})
     differ = {name for name in NAMES if getattr(sac, name) != getattr(modern, name)}
     assert differ == {
         "act_suggestions", "quantiles", "dropped_quantiles", "network", "tau", "average_updates",
         "selection", "normalise_return", "huber_width", "initial_temperature",
-        "temperature_learning_rate",
+        "temperature_learning_rate", "gamma",
     }  # fmt: skip
     assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
     assert sac.distil_weight == sac.optimism == 0
-    assert sac.policy_loss == "pathwise"
+    assert (sac.policy_loss, sac.gamma) == ("pathwise", 0.99)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
