@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from a2s import cli
@@ -167,3 +168,10 @@ def test_help_comes_without_heavy_imports() -> None:
     )
     imported = {line.split("|")[-1].strip() for line in done.stderr.splitlines()}
     assert not imported & {"torch", "onnxruntime", "mujoco", "gymnasium", "matplotlib"}
+
+
+def test_no_help_has_words_in_brackets_which_would_vanish_as_markup() -> None:
+    commands = get_command(cli.app).commands  # type: ignore[attr-defined]
+    parameters = [parameter for command in commands.values() for parameter in command.params]
+    assert len(parameters) > 50
+    assert not [p.name for p in parameters if "[" in (getattr(p, "help", None) or "")]

@@ -84,7 +84,7 @@ Config = Annotated[
     _option(
         "--config",
         env="A2S_CONFIG",
-        help="TOML file with [run] and [hyper], as every run directory has one.",
+        help="TOML file with the tables run and hyper, as every run directory has one.",
         panel=_RUN,
     ),
 ]
