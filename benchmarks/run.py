@@ -149,11 +149,12 @@ def main() -> None:
     parser.add_argument("-j", type=int, default=1, help="runs at once")
     parser.add_argument("--envs", nargs="*", help="only these environments")
     parser.add_argument("--labels", nargs="*", help="only these labels")
+    parser.add_argument("--seeds", nargs="*", type=int, help="only these seeds")
     arguments = parser.parse_args()
     suite = SUITES[arguments.suite]
     jobs = [
         (arguments.suite, env, label, seed, arguments.out)
-        for seed in suite.seeds
+        for seed in arguments.seeds or suite.seeds
         for env in arguments.envs or suite.envs
         for label in arguments.labels or suite.labels
     ]
