@@ -126,8 +126,11 @@ class Actor:
 
         self._waiting_since_s = None
         for segment in rollout.play(suggester, notice, interrupted):
+            answered = self._spool.answered
             while not self._spool.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
-                self._say_waiting("room in the spool: the learner does not answer segments")
+                if self._spool.answered > answered:  # the learner is there, and holds us back
+                    answered, self._waiting_since_s = self._spool.answered, None
+                self._say_waiting("room in the spool: the learner has answered no segment")
             self._waiting_since_s = None
 
     def _join(self, env_id: str, num_envs: int, spaces: Spaces) -> Welcome | None:

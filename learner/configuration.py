@@ -105,7 +105,7 @@ class Configuration:
     def sources(self) -> dict[str, Choice]:
         """Every value that the preset has, with its source."""
         if self.run.variant == "off-policy":
-            return off_policy_presets.choices(self.run.preset)
+            return off_policy_presets.choices(self.run.preset, self.run.total_steps)
         return presets.choices(self.run.preset, self.run.algo)
 
     def changed(self) -> dict[str, object]:
@@ -157,7 +157,8 @@ def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configu
     """
     if options.get("variant") == "off-policy":
         run = RunConfig(**{**_OFF_POLICY, **options})
-        return Configuration(run=run, hyper=off_policy_presets.off_policy(run.preset, hyper))
+        made = off_policy_presets.off_policy(run.preset, hyper, run.total_steps)
+        return Configuration(run=run, hyper=made)
     run = RunConfig(**options)
     return Configuration(run=run, hyper=presets.on_policy(run.preset, run.algo, hyper))
 

@@ -87,6 +87,7 @@ class OffPolicyLearning:
         self._shown_waits: dict[str, int] = {}
         self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
         self._limiter.count_insert(self._replay.end)
+        self._learned_from = self._replay.end
         metrics.replay_torn.inc(self._replay.torn_records)
         self._show()
 
@@ -96,13 +97,15 @@ class OffPolicyLearning:
         return self._updates
 
     def quota(self, num_envs: int) -> Quota:
-        """As many steps of every environment as an actor sends at once.
+        """As many steps of every environment as an actor sends at once, if it may send them all.
 
-        When learning is behind, whatever comes first: actors are held back, and so come late.
+        Actors are held back when learning is behind: a round that waited for more steps than they
+        may send would wait long.
         """
         steps = self._hyper.send_every_steps
         self._quota_steps = steps * num_envs
-        return Quota(1 if self._limiter.excess > 0 else self._quota_steps, steps, 0)
+        batch_steps = min(self._quota_steps, self._limiter.free_inserts)
+        return Quota(max(1, batch_steps), steps, 0)
 
     def graph(
         self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
@@ -131,12 +134,14 @@ class OffPolicyLearning:
     def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
         """Make the updates that are due, but then let actors have the new weights.
 
-        More steps arrive meanwhile: so a round ends at twice the updates that a quota asks for.
+        Steps that arrive meanwhile are due in the next round. One that has much to catch up with
+        ends at twice the updates that a quota asks for.
         """
         obs = np.concatenate([segment.obs for segment in segments])
         self._algorithm.observe(torch.from_numpy(obs))
+        self._learned_from += len(obs)
         made, begin_s = RoundMeans(), time.monotonic()
-        while made.count < self._round and self._limiter.may_sample():
+        while made.count < self._round and self._limiter.may_sample(self._learned_from):
             made.add(self._update())
         if not self._algorithm.is_finite():
             raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
@@ -167,6 +172,7 @@ class OffPolicyLearning:
         self._algorithm.load(tensors)
         self._updates = scalars["updates"]
         self._limiter.load({**scalars["limiter"], "inserts": self._replay.end})
+        self._learned_from = self._replay.end
         self._replay.highest_priority = scalars["highest_priority"]
         self._shown_waits = {
             "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits

@@ -21,6 +21,7 @@ _FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008
 _UNUSED = "not used here"
 _OURS = "ours, to be tuned"
 _FASTEST = "fastest"
+_WARM_UP_PART = 10
 _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 
 _MODERN: dict[str, Choice] = {
@@ -121,8 +122,12 @@ PRESETS: dict[str, dict[str, Choice]] = {
 _FIELDS: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(OffPolicyHyper)}
 
 
-def choices(preset: str) -> dict[str, Choice]:
+def choices(preset: str, total_steps: int | None = None) -> dict[str, Choice]:
     """Every value of a preset with its source.
+
+    Args:
+        preset: A key of `PRESETS`.
+        total_steps: Of the run, of which at most a tenth is warm-up.
 
     Raises:
         UsageError: There is no such preset; the nearest is named.
@@ -132,6 +137,11 @@ def choices(preset: str) -> dict[str, Choice]:
     found = dict(PRESETS[preset])
     if found["precision"].value == _FASTEST:
         found["precision"] = found["precision"]._replace(value=_fastest_precision())
+    if total_steps is not None:
+        most, part = found["warm_up_steps"].value, max(1, total_steps // _WARM_UP_PART)
+        assert isinstance(most, int)
+        if part < most:
+            found["warm_up_steps"] = Choice(part, "a tenth of a short run")
     return found
 
 
@@ -140,15 +150,18 @@ def _fastest_precision() -> Precision:
     return "bf16" if processor.exists() and "amx_bf16" in processor.read_text() else "f32"
 
 
-def off_policy(preset: str, overrides: Mapping[str, object]) -> OffPolicyHyper:
+def off_policy(
+    preset: str, overrides: Mapping[str, object], total_steps: int | None = None
+) -> OffPolicyHyper:
     """Hyperparameters of a preset with some of them overridden.
 
     Args:
         preset: A key of `PRESETS`.
         overrides: Values by name, of the right type or as text.
+        total_steps: Of the run, of which at most a tenth is warm-up.
 
     Raises:
         UsageError: A preset or name is unknown, or a value is out of range.
     """
-    values = {name: choice.value for name, choice in choices(preset).items()}
+    values = {name: choice.value for name, choice in choices(preset, total_steps).items()}
     return OffPolicyHyper(**values | parse_all(overrides, _FIELDS))  # type: ignore[arg-type]

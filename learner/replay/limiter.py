@@ -71,6 +71,11 @@ class Limiter:
         """Transitions by which the longest segment would raise the error above the band."""
         return self.error + self._ratio * self._segment_steps - self._band
 
+    @property
+    def free_inserts(self) -> int:
+        """Transitions that can be inserted before the longest segment has to wait."""
+        return max(0, int(-self.excess / self._ratio))
+
     def may_insert(self, steps: int | None = None) -> bool:
         """Whether an insertion keeps within the band; counts a wait if not.
 
@@ -82,10 +87,15 @@ class Limiter:
         self.insert_waits += not is_free
         return is_free
 
-    def may_sample(self) -> bool:
-        """Whether another batch keeps within the band; counts a wait if not."""
-        is_filled = self.inserts >= self._min_size
-        is_free = is_filled and self.error - self._batch_size >= -self._band
+    def may_sample(self, inserts: int | None = None) -> bool:
+        """Whether another batch keeps within the band; counts a wait if not.
+
+        Args:
+            inserts: Transitions to go by; all that were inserted when not given.
+        """
+        present = self.inserts if inserts is None else inserts
+        error = self._ratio * (present - self._min_size) - self.samples
+        is_free = present >= self._min_size and error - self._batch_size >= -self._band
         self.sample_waits += not is_free
         return is_free
 

@@ -81,6 +81,20 @@ def test_updates_follow_the_steps_played(learning: Learn) -> None:
     assert run.updates == 40  # 40 steps came, but actors are to have new weights
 
 
+def test_updates_are_due_for_steps_that_were_learned_from(learning: Learn) -> None:
+    """What has arrived since, as during a round, counts in the next: never more than one a step."""
+    run = learning()
+    play(run, 0, 4)
+    segments = [segment(seq) for seq in range(4, 6)]
+    for each in segments:
+        run.keep(each)
+    before = run.updates
+    run.learn(segments[:1], 0.0, is_behind=False)
+    assert run.updates - before == 5
+    run.learn(segments[1:], 0.0, is_behind=False)
+    assert run.updates - before == 10
+
+
 @pytest.mark.parametrize("prioritised", [False, True])
 def test_errors_become_priorities_where_they_count(
     learning: Learn, tmp_path: Path, prioritised: bool
@@ -96,9 +110,10 @@ def test_errors_become_priorities_where_they_count(
 def test_the_size_of_returns_is_that_of_the_replay(learning: Learn) -> None:
     """Rewards of 1, episodes of 5 steps, a half of what follows: 1.9375, 1.875, 1.75, 1.5, 1."""
     run = learning(batch_rows=900, gamma=0.5)
-    for seq in range(20):
-        run.keep(dataclasses.replace(segment(seq), reward=np.ones(5, np.float32)))
-    run.learn([segment(99)], 0.0, is_behind=False)
+    segments = [dataclasses.replace(segment(n), reward=np.ones(5, np.float32)) for n in range(20)]
+    for each in segments:
+        run.keep(each)
+    run.learn(segments, 0.0, is_behind=False)
     expected = np.mean(np.square([1.9375, 1.875, 1.75, 1.5, 1.0]))
     found = run.state()[0]["return_size.mean_square"]
     assert float(found) == pytest.approx(expected, abs=0.15)
@@ -159,25 +174,32 @@ def test_actors_wait_while_learning_is_behind(learning: Learn) -> None:
     assert run.hold_s(9.0) == 0.0
 
 
-def test_learning_that_is_behind_goes_on_with_whatever_comes(learning: Learn) -> None:
-    """Those held back deliver little, and a whole batch of it would be long in coming."""
+def test_a_round_waits_for_no_more_steps_than_actors_may_send(learning: Learn) -> None:
+    """Those held back deliver little, and more than that would be long in coming."""
     run = learning()
     assert run.quota(num_envs=4) == (20, 5, 0)
     for seq in range(6):
         run.keep(segment(seq))
     assert run.quota(num_envs=4) == (1, 5, 0)
     run.learn([segment(seq) for seq in range(6)], 0.0, is_behind=False)
-    assert run.quota(num_envs=4) == (20, 5, 0)
+    assert run.quota(num_envs=1) == (5, 5, 0)
+    assert run.quota(num_envs=40) == (15, 5, 0)
+    held = []
+    for seq in range(6, 11):
+        held.append(run.hold_s(0.0) > 0.0)
+        run.keep(segment(seq))
+    assert held == [False, False, False, False, True]
 
 
 @pytest.mark.parametrize("steps_behind", [100, 10_000])
 def test_no_wait_is_longer_than_a_round(learning: Learn, steps_behind: int) -> None:
     """Learning that is far behind would stand still as well: a round begins with steps played."""
     run = learning()
-    for seq in range(steps_behind // 5):
-        run.keep(segment(seq))
+    segments = [segment(seq) for seq in range(steps_behind // 5)]
+    for each in segments:
+        run.keep(each)
     begin_s = time.monotonic()
-    run.learn([segment(0)], 0.0, is_behind=False)
+    run.learn(segments, 0.0, is_behind=False)
     assert 0.0 < run.hold_s(9.0) <= time.monotonic() - begin_s
 
 

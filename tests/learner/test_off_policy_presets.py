@@ -36,6 +36,16 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     assert (sac.policy_loss, sac.gamma) == ("pathwise", 0.99)
 
 
+@pytest.mark.parametrize(
+    ("total_steps", "expected"),
+    [(5, 1), (2_000, 200), (49_990, 4_999), (50_000, 5_000), (10**6, 5_000)],
+)
+def test_at_most_a_tenth_of_a_run_is_warm_up(total_steps: int, expected: int) -> None:
+    """Or a short run would end before it learns anything; what is set stays."""
+    assert off_policy("modern", {}, total_steps).warm_up_steps == expected
+    assert off_policy("modern", {"warm_up_steps": "70"}, total_steps).warm_up_steps == 70
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
 def test_matrix_products_are_in_bf16_where_the_processor_has_tiles_for_it() -> None:
     """As torch finds them; and in f32 where that is wanted."""
