@@ -1,7 +1,8 @@
 """One off-policy update beside those of Stable-Baselines3 and sbx, all from rows of a buffer.
 
-Batches of 256, hidden layers 256-256, one thread of torch; JAX takes what it wants. Each contender
-has a process of its own: how memory is freed, and threads, are settings of a whole process.
+Batches of 256, hidden layers 256-256, one thread of torch but where a name says two; JAX takes what
+it wants. Each contender has a process of its own: how memory is freed, and threads, are settings of
+a whole process.
 """
 
 import importlib
@@ -28,6 +29,7 @@ STORED = 20_000
 UPDATES = 10
 
 _FASTEST = off_policy("sac", {}).precision  # bf16 without its instructions takes 25 times as long
+_TWO = "two threads"
 _OURS: dict[str, tuple[str, dict[str, object]]] = {
     "a2s sac, f32": ("sac", {"precision": "f32"}),
     f"a2s sac, {_FASTEST}": ("sac", {}),
@@ -35,6 +37,8 @@ _OURS: dict[str, tuple[str, dict[str, object]]] = {
     f"a2s sac, {_FASTEST}, no LayerNorm": ("sac", {"layer_norm": False}),
     "a2s modern, f32": ("modern", {"precision": "f32"}),
     f"a2s modern, {_FASTEST}": ("modern", {}),
+    f"a2s sac, {_FASTEST}, {_TWO}": ("sac", {}),
+    f"a2s modern, {_FASTEST}, {_TWO}": ("modern", {}),
 }
 _THEIRS = {"stable_baselines3": ("stable-baselines3", True), "sbx": ("sbx-rl", False)}
 
@@ -74,7 +78,7 @@ def _wait(pipe: Connection, name: str) -> None:
 
 
 def _serve(which: str, pipe: Connection) -> None:
-    torch.set_num_threads(1)
+    torch.set_num_threads(2 if which.endswith(_TWO) else 1)
     update = _ours(*_OURS[which]) if which in _OURS else _theirs(which)
     try:
         while True:
