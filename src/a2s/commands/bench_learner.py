@@ -38,34 +38,39 @@ _OURS: dict[str, tuple[str, dict[str, object]]] = {
     "a2s modern, f32": ("modern", {"precision": "f32"}),
     f"a2s modern, {_FASTEST}": ("modern", {}),
     f"a2s sac, {_FASTEST}, {_TWO}": ("sac", {}),
-    f"a2s modern, {_FASTEST}, {_TWO}": ("modern", {}),
 }
 _THEIRS = {"stable_baselines3": ("stable-baselines3", True), "sbx": ("sbx-rl", False)}
 
 
 def contests(stack: ExitStack) -> list[Contest]:
     """Start the processes."""
-    contenders = [_process(name, name, stack) for name in _OURS]
+    started = [_start(name, name, stack) for name in _OURS]
     for module, (package, is_baseline) in _THEIRS.items():
         if importlib.util.find_spec(module) is None:
             missing(package)
             continue
-        contenders.append(_process(f"{package} SAC", module, stack, is_baseline=is_baseline))
-    return [Contest("updates/s", contenders)]
+        started.append(_start(f"{package} SAC", module, stack, is_baseline=is_baseline))
+    return [Contest("updates/s", [_contender(*each) for each in started])]
 
 
-def _process(name: str, which: str, stack: ExitStack, *, is_baseline: bool = False) -> Contender:
-    """A process that makes ten updates when told."""
+def _start(
+    name: str, which: str, stack: ExitStack, *, is_baseline: bool = False
+) -> tuple[str, Connection, bool]:
+    """A process that makes ten updates when told; all of them get ready at once."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     context.Process(target=_serve, args=(which, theirs), name=name, daemon=True).start()
     theirs.close()
     stack.callback(ours.close)
-    _wait(ours, name)
+    return name, ours, is_baseline
+
+
+def _contender(name: str, pipe: Connection, is_baseline: bool) -> Contender:
+    _wait(pipe, name)
 
     def update() -> None:
-        ours.send(None)
-        _wait(ours, name)
+        pipe.send(None)
+        _wait(pipe, name)
 
     return Contender(name, update, UPDATES, is_baseline)
 
