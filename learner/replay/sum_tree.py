@@ -120,7 +120,7 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 @_compiled  # type: ignore[untyped-decorator]
 def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats]:
-    """Find a node in each of B equal shares, ``within`` 0..1 of it, on a level of at most B nodes.
+    """Find a node in each of B equal shares, ``within`` 0..1 of it; a level has at most 16 B nodes.
 
     Shares ascend, so that one walk over the level finds all of them.
 
@@ -131,7 +131,7 @@ def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats
     for child in range(starts[-1], len(nodes)):
         total += nodes[child]
     level, end = len(starts) - 1, len(nodes)
-    while level > 0 and starts[level] - starts[level - 1] <= len(within):
+    while level > 0 and starts[level] - starts[level - 1] <= _FAN_OUT * len(within):
         end, level = starts[level], level - 1
     while nodes[end - 1] == 0.0:
         end -= 1
