@@ -28,7 +28,7 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "average_updates": (0, math.inf),
     "n_step": (1, 1024),
     "batch_rows": (1, 2**20),
-    "warm_up_steps": (0, math.inf),
+    "warm_up_steps": (1, math.inf),
     "replay_rows": (1, math.inf),
     "send_every_steps": (1, math.inf),
     "lead_steps": (1, math.inf),

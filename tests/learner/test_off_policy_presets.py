@@ -86,6 +86,7 @@ def test_overrides_are_read_by_the_type_of_their_field(
     ("overrides", "message"),
     [
         ({"act_suggestions": 0}, "act_suggestions: found 0, expected an integer from 1 to 1024"),
+        ({"warm_up_steps": 0}, "warm_up_steps: found 0, expected an integer of at least 1"),
         ({"tau": 0}, "tau: found 0.0, expected a number from 1e-06 to 1"),
         ({"network": "cnn"}, "network: found 'cnn', expected one of mlp, residual, trunk"),
         (
