@@ -172,7 +172,6 @@ class OffPolicyLearning:
         self._algorithm.load(tensors)
         self._updates = scalars["updates"]
         self._limiter.load({**scalars["limiter"], "inserts": self._replay.end})
-        self._learned_from = self._replay.end
         self._replay.highest_priority = scalars["highest_priority"]
         self._shown_waits = {
             "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits

@@ -64,7 +64,7 @@ class Limiter:
     @property
     def error(self) -> float:
         """Transitions by which sampling is behind; negative when it is ahead."""
-        return self._ratio * (self.inserts - self._min_size) - self.samples
+        return self._error(self.inserts)
 
     @property
     def excess(self) -> float:
@@ -94,8 +94,8 @@ class Limiter:
             inserts: Transitions to go by; all that were inserted when not given.
         """
         present = self.inserts if inserts is None else inserts
-        error = self._ratio * (present - self._min_size) - self.samples
-        is_free = present >= self._min_size and error - self._batch_size >= -self._band
+        is_filled = present >= self._min_size
+        is_free = is_filled and self._error(present) - self._batch_size >= -self._band
         self.sample_waits += not is_free
         return is_free
 
@@ -130,3 +130,6 @@ class Limiter:
             ) from None
         self.inserts, self.samples = found["inserts"], found["samples"]
         self.insert_waits, self.sample_waits = found["insert_waits"], found["sample_waits"]
+
+    def _error(self, inserts: int) -> float:
+        return self._ratio * (inserts - self._min_size) - self.samples

@@ -120,7 +120,7 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 
 @_compiled  # type: ignore[untyped-decorator]
 def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats]:
-    """Find a node in each of B equal shares, ``within`` 0..1 of it; a level has at most 16 B nodes.
+    """Find a node in each of B shares, ``within`` 0..1 of it, on a level of at most 16 B nodes.
 
     Shares ascend, so that one walk over the level finds all of them.
 
