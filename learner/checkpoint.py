@@ -18,19 +18,20 @@ from torch import Tensor
 from a2s.protocol.errors import RunDirectoryError
 
 _KEPT = 3
-_FORMAT = 2
+_FORMAT = 3
 
 
 def save(
-    folder: Path, updates: int, tensors: dict[str, Tensor], state: dict[str, Any]
+    folder: Path, updates: int, tensors: dict[str, Tensor], state: dict[str, Any], *, kind: str
 ) -> tuple[Path, int]:
     """Write the checkpoint of an update, and forget all but the newest three.
 
     Args:
         folder: Where checkpoints are kept.
-        updates: Updates made so far; names the checkpoint.
+        updates: Updates made so far; names the checkpoint, with a count if it is not the first.
         tensors: By name.
         state: Anything that JSON can hold.
+        kind: Of the run, in words; another kind cannot go on from here.
 
     Returns:
         The checkpoint and its size in bytes.
@@ -38,17 +39,17 @@ def save(
     Raises:
         RunDirectoryError: It cannot be written, for example because the disk is full.
     """
-    path = folder / f"{updates:08d}"
+    path = _free(folder, f"{updates:08d}")
     partial = folder / f".{path.name}.partial"
     try:
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         data = safetensors.torch.save({k: v.contiguous() for k, v in tensors.items()})
-        checked = {"format": _FORMAT, "sha256": hashlib.sha256(data).hexdigest(), "state": state}
+        sha256 = hashlib.sha256(data).hexdigest()
+        checked = {"format": _FORMAT, "kind": kind, "sha256": sha256, "state": state}
         text = json.dumps(checked).encode()
         _write(partial / "tensors.safetensors", data)
         _write(partial / "state.json", text)
-        shutil.rmtree(path, ignore_errors=True)
         partial.rename(path)
     except OSError as error:
         raise RunDirectoryError(f"checkpoint {path}: {error.strerror}") from error
@@ -57,15 +58,15 @@ def save(
     return path, len(data) + len(text)
 
 
-def load(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read the newest checkpoint.
+def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read the newest checkpoint of a run of this kind.
 
     Returns:
         Tensors and state, as they were given to :func:`save`.
 
     Raises:
-        RunDirectoryError: There is none, or it is damaged; a damaged one is never skipped
-            silently for an older one.
+        RunDirectoryError: There is none, it is of another kind, or it is damaged; a damaged one
+            is never skipped silently for an older one.
     """
     found = _all(folder)
     if not found:
@@ -79,12 +80,26 @@ def load(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
                 f"checkpoint {path}: found format {checked['format']}, expected {_FORMAT}; another "
                 "version of a2s made it: go on with that one, or begin another run"
             )
+        if checked["kind"] != kind:
+            raise RunDirectoryError(
+                f"checkpoint {path}: found {checked['kind']}, expected {kind}; "
+                "--resume goes on with the same run only"
+            )
         data = (path / "tensors.safetensors").read_bytes()
         if hashlib.sha256(data).hexdigest() != checked["sha256"]:
             raise RunDirectoryError(f"checkpoint {path}: the checksum does not match; {advice}")
         return safetensors.torch.load(data), checked["state"]
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
         raise RunDirectoryError(f"checkpoint {path}: damaged ({error}); {advice}") from error
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A name that sorts behind all: what is there is never replaced, so a kill cannot lose it."""
+    same = [path for path in _all(folder) if path.name.startswith(name)]
+    if not same:
+        return folder / name
+    count = int(same[-1].name.partition("-")[2] or 0) + 1
+    return folder / f"{name}-{count:04d}"
 
 
 def _all(folder: Path) -> list[Path]:

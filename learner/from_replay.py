@@ -80,6 +80,7 @@ class FromReplay:
         self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         self._at = Standing()
+        self._kind = f"off-policy on {self._run.env} from a replay"
         self._directory = RunDirectory(path, COLUMNS, self._at.wall_s)
         if resume:
             self._resume()
@@ -185,10 +186,10 @@ class FromReplay:
             "rng": self._rng.bit_generator.state,
         }
         folder = self._directory.path / "checkpoints"
-        checkpoint.save(folder, self._at.updates, self._algorithm.state(), state)
+        checkpoint.save(folder, self._at.updates, self._algorithm.state(), state, kind=self._kind)
 
     def _resume(self) -> None:
-        tensors, state = checkpoint.load(self._directory.path / "checkpoints")
+        tensors, state = checkpoint.load(self._directory.path / "checkpoints", kind=self._kind)
         self._algorithm.load(tensors)
         self._stand_at(state["updates"])
         self._at.rows, self._at.worked_s = state["rows"], state["wall_s"]

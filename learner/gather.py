@@ -114,9 +114,7 @@ class Gather:
             if self._ledger.leaps(segment.actor, segment.seq):
                 return self.refuse_segment("future", f"seq {segment.seq} is not the next")
             verdict, cause, reason = self._judge(segment, member)
-            if verdict == "accepted":
-                self._store(segment)
-            self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
+            self._store(segment, verdict)
             if verdict == "refused":
                 self._metrics.refused.labels(message="segment", reason=cause).inc()
                 self._on_event("refusal", actor=segment.actor, seq=segment.seq, reason=reason)
@@ -215,10 +213,14 @@ class Gather:
         """Steps that wait to be learned from."""
         return self._pending_steps
 
-    def _store(self, segment: Segment) -> None:
-        """Store a segment; what cannot be stored is not answered, and ends the learner's loop."""
+    def _store(self, segment: Segment, verdict: Verdict) -> None:
+        """Store and write down; if that fails nothing is answered, and the learner's loop ends."""
+        if self._failure is not None:
+            raise self._failure
         try:
-            self._keep(segment)
+            if verdict == "accepted":
+                self._keep(segment)
+            self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
         except RunDirectoryError as error:
             self._failure = error
             self._changed.notify_all()

@@ -68,8 +68,13 @@ class Learner:
         torch.set_num_threads(self._run.threads)
         keep_freed_memory()
         self._at = Standing()
+        self._kind = f"{self._run.variant} on {self._run.env}"
+        saved, state = None, None
+        if resume:
+            tensors, state = checkpoint.load(path / "checkpoints", kind=self._kind)
+            saved = tensors, state["algorithm"]
         self._ledger = Ledger(path / "segments.log")
-        self._learning = make_learning(configuration, spaces, path, self._ledger, metrics)
+        self._learning = make_learning(configuration, spaces, path, self._ledger, metrics, saved)
         columns = (*POSITION, *self._learning.columns)
         self._directory = RunDirectory(path, columns, self._at.wall_s)
         self._plays_on = self._run.clock == "lockstep" and self._learning.plays_on
@@ -78,8 +83,10 @@ class Learner:
         self._record = EpisodeRecord()
         self._graph = self._latest = b""
         self._bus = bus
-        if resume:
-            self._resume()
+        if state is not None:
+            self._go_on(state)
+        else:
+            self._save()
         self._at.generation = self._directory.count_start()
         self._at.steps_at_start = self._at.env_steps = self._ledger.accepted_steps
         metrics.env_steps.inc(self._at.env_steps)
@@ -125,7 +132,6 @@ class Learner:
             return not stopped()
 
         self._publish()
-        self._checkpoint()
         while self._at.env_steps < self._run.total_steps and not stopped():
             batch = self._next_batch(proceed)
             if not batch:
@@ -184,12 +190,12 @@ class Learner:
         return min(1.0, self._at.env_steps / self._run.total_steps)
 
     def _keep_best(self) -> None:
-        """Keep the graph that made this batch, if its recent returns are the best so far."""
+        """Keep the policy, if the returns of the newest episodes are the best so far."""
         recent = self._record.recent_return
         if recent is None or (self._at.best_recent is not None and recent <= self._at.best_recent):
             return
         self._at.best_recent = recent
-        self._directory.policy("best", self._graph)
+        self._directory.policy("best", self._to_keep())
 
     def _passed(self, every: int) -> bool:
         """Whether the latest updates passed a multiple; never that of 0."""
@@ -256,6 +262,13 @@ class Learner:
         self._show(outcome.kl)
 
     def _checkpoint(self) -> None:
+        try:
+            self._save()
+        except RunDirectoryError as error:
+            self._metrics.checkpoint_failures.inc()
+            logger.warning("%s; going on without it", error)  # the next one may succeed
+
+    def _save(self) -> None:
         self._latest = self._to_keep()
         self._directory.policy("latest", self._latest)
         tensors, scalars = self._learning.state()
@@ -267,20 +280,13 @@ class Learner:
             "best_recent": self._at.best_recent,
             "wall_s": self._at.wall_s(),
         }
-        try:
-            with self._metrics.checkpoint_seconds.time():
-                folder = self._directory.path / "checkpoints"
-                _, size = checkpoint.save(folder, self._learning.updates, tensors, state)
-        except RunDirectoryError as error:
-            self._metrics.checkpoint_failures.inc()
-            logger.warning("%s; going on without it", error)  # the next one may succeed
-            return
+        with self._metrics.checkpoint_seconds.time():
+            folder, updates = self._directory.path / "checkpoints", self._learning.updates
+            _, size = checkpoint.save(folder, updates, tensors, state, kind=self._kind)
         self._metrics.checkpoint_time.set_to_current_time()
         self._metrics.checkpoint_bytes.set(size)
 
-    def _resume(self) -> None:
-        tensors, state = checkpoint.load(self._directory.path / "checkpoints")
-        self._learning.load(tensors, state["algorithm"])
+    def _go_on(self, state: dict[str, Any]) -> None:
         self._at.version, self._at.epoch = state["version"], state["epoch"]
         self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
         self._at.updates = self._learning.updates

@@ -46,6 +46,9 @@ class Outcome(NamedTuple):
         return self.restored_version >= 0
 
 
+Saved = tuple[dict[str, Tensor], dict[str, Any]]
+
+
 class Learning(Protocol):
     """A variant: it makes graphs to act by, and learns from what was played.
 
@@ -105,16 +108,8 @@ class Learning(Protocol):
         """
         ...
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors, and numbers that survive JSON: everything that `load` needs to go on."""
-        ...
-
-    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
-        """Go back to a state.
-
-        Raises:
-            RunDirectoryError: It does not fit.
-        """
+    def state(self) -> Saved:
+        """Tensors, and numbers that survive JSON: everything that going on from here needs."""
         ...
 
     def serve(self, bus: Bus, keys: Keys, generation: int) -> None:

@@ -79,7 +79,7 @@ class Ledger:
             whole = end
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
         os.ftruncate(self._file, whole)  # a line torn by a kill was never answered
-        os.lseek(self._file, 0, os.SEEK_END)
+        self._path, self._size = path, whole
 
     def has(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts a duplicate if so."""
@@ -100,8 +100,20 @@ class Ledger:
         return sender is not None and sender.leaps(seq)
 
     def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
-        """Write an answer down; it survives the death of this process when this returns."""
-        os.write(self._file, f"{actor} {seq} {verdict} {steps}\n".encode())
+        """Write an answer down; it survives the death of this process when this returns.
+
+        Raises:
+            RunDirectoryError: There is no room for it.
+        """
+        line, done = f"{actor} {seq} {verdict} {steps}\n".encode(), 0
+        try:
+            while done < len(line):
+                done += os.pwrite(self._file, line[done:], self._size + done)
+        except OSError as error:
+            raise RunDirectoryError(
+                f"{self._path}: {error.strerror}; mend that and resume"
+            ) from None
+        self._size += done
         self._count(actor, seq, verdict, steps)
 
     def accounts(self) -> Accounts:

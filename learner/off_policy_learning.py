@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from a2s.learner.algorithm.off_policy import OffPolicy, OffPolicyStats
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.algorithm.recorded_update import update_of
 from a2s.learner.batching import draw, draw_returns, wants_returns
 from a2s.learner.configuration import Device
-from a2s.learner.learning import Outcome, Quota
+from a2s.learner.learning import Outcome, Quota, Saved
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_export import export
@@ -46,9 +45,10 @@ class OffPolicyLearning:
         ledger: Knows which segments were acknowledged.
         metrics: Where updates are shown.
         device: Of the networks.
+        saved: A `state` to go on from; what was inserted since then is still there, and due.
 
     Raises:
-        RunDirectoryError: The replay cannot be made or opened.
+        RunDirectoryError: ``saved`` does not fit; or the replay cannot be made or opened.
         UsageError: The hyperparameters contradict each other.
     """
 
@@ -66,11 +66,15 @@ class OffPolicyLearning:
         ledger: Ledger,
         metrics: LearnerMetrics,
         device: Device,
+        saved: Saved | None,
     ) -> None:
         self._hyper = hyper
         self._metrics = metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
+        tensors, scalars = ({}, {}) if saved is None else saved
+        if saved is not None:
+            self._algorithm.load(tensors)
         self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         samples_per_step = hyper.updates_per_step * hyper.batch_rows
@@ -87,7 +91,10 @@ class OffPolicyLearning:
         self._shown_waits: dict[str, int] = {}
         self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
         self._limiter.count_insert(self._replay.end)
-        self._learned_from = self._replay.end
+        self._learned_from = 0
+        if saved is not None:
+            self._go_on(scalars)
+        self._observe_replay()
         metrics.replay_torn.inc(self._replay.torn_records)
         self._show()
 
@@ -158,25 +165,15 @@ class OffPolicyLearning:
         }
         return Outcome(dict.fromkeys(SHOWN) | own | means)
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def state(self) -> Saved:
         """Of the algorithm, the limiter and the draws; the replay keeps itself."""
         return self._algorithm.state(), {
             "updates": self._updates,
+            "learned_from": self._learned_from,
             "limiter": self._limiter.state(),
             "highest_priority": self._replay.highest_priority,
             "rng": self._rng.bit_generator.state,
         }
-
-    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
-        """Go back to a state; what was inserted since then is still there, and due."""
-        self._algorithm.load(tensors)
-        self._updates = scalars["updates"]
-        self._limiter.load({**scalars["limiter"], "inserts": self._replay.end})
-        self._replay.highest_priority = scalars["highest_priority"]
-        self._shown_waits = {
-            "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
-        }  # fmt: skip
-        self._rng.bit_generator.state = scalars["rng"]
 
     def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
         """Let others sample the replay."""
@@ -190,6 +187,22 @@ class OffPolicyLearning:
     def _round(self) -> int:
         """Updates of a round at most."""
         return 2 * math.ceil(self._quota_steps * self._hyper.updates_per_step)
+
+    def _go_on(self, scalars: dict[str, Any]) -> None:
+        self._updates, self._learned_from = scalars["updates"], scalars["learned_from"]
+        self._limiter.load(scalars["limiter"], self._replay.end)
+        self._replay.highest_priority = scalars["highest_priority"]
+        self._shown_waits = {
+            "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
+        }  # fmt: skip
+        self._rng.bit_generator.state = scalars["rng"]
+
+    def _observe_replay(self) -> None:
+        """Take into account what no batch brought before a kill."""
+        obs = self._replay.obs_since(self._learned_from)
+        if len(obs):
+            self._algorithm.observe(torch.from_numpy(obs))
+        self._learned_from = self._replay.end
 
     def _update(self) -> OffPolicyStats:
         if wants_returns(self._hyper, self._updates):

@@ -3,17 +3,15 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from typing import Any
 
 import torch
-from torch import Tensor
 
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.algorithm.on_policy import OnPolicy
 from a2s.learner.algorithm.update_stats import UpdateStats
 from a2s.learner.batching import to_batch
 from a2s.learner.export import export
-from a2s.learner.learning import Outcome, Quota
+from a2s.learner.learning import Outcome, Quota, Saved
 from a2s.learner.metrics import LearnerMetrics
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
@@ -36,17 +34,28 @@ class OnPolicyLearning:
         hyper: Hyperparameters.
         seed: Of the run.
         metrics: Where updates are shown.
+        saved: A `state` to go on from.
+
+    Raises:
+        RunDirectoryError: ``saved`` does not fit.
     """
 
     columns = COLUMNS
 
     def __init__(
-        self, spaces: Spaces, hyper: OnPolicyHyper, seed: int, metrics: LearnerMetrics
+        self,
+        spaces: Spaces,
+        hyper: OnPolicyHyper,
+        seed: int,
+        metrics: LearnerMetrics,
+        saved: Saved | None,
     ) -> None:
         self._hyper = hyper
         self._metrics = metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        if saved is not None:
+            self._algorithm.load(*saved)
         self.max_policy_lag: int | None = hyper.max_policy_lag
         self.plays_on = hyper.max_policy_lag > 0
 
@@ -83,13 +92,9 @@ class OnPolicyLearning:
         tested = {f"recovery_{n}": getattr(stats.recovery, n, None) for n in _TESTED}
         return Outcome(asdict(stats) | tested, stats.kl, stats.recovery, stats.restored_version)
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def state(self) -> Saved:
         """Of the algorithm."""
         return self._algorithm.state()
-
-    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
-        """Go back to a state."""
-        self._algorithm.load(tensors, scalars)
 
     def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
         """There is nothing to ask for."""

@@ -1,10 +1,12 @@
 """The directory of a run: everything that it leaves behind. ``docs/run-directory.md`` lists it."""
 
 import csv
+import fcntl
 import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,14 +25,45 @@ CONFIG = "config.toml"
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that readers see the old or the new one, whole, whatever is killed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a file so that readers see the old or the new one, whole, whatever is killed.
+
+    Raises:
+        RunDirectoryError: It cannot be written; the old one is still there.
+    """
     partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.rename(path)
+    with _writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.rename(path)
+
+
+@contextmanager
+def _writing(path: Path | str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RunDirectoryError(f"{path}: {error.strerror}; mend that and resume") from None
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[None]:
+    """Keep other learners out of a directory as long as the block, or this process, lasts.
+
+    Raises:
+        RunDirectoryError: Another one is at work there, or the directory cannot be made.
+    """
+    with _writing(path):
+        path.mkdir(parents=True, exist_ok=True)
+        file = (path / "lock").open("a")
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RunDirectoryError(f"{path}: another learner is at work there; stop it") from None
+        yield
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
@@ -56,12 +89,12 @@ def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     """
     if run_dir is None:
         numbered = [root / run] + [root / f"{run}-{i}" for i in range(2, 10_000)]
-        taken = [d for d in numbered if d.exists()]
         if not resume:
-            return next(d for d in numbered if d not in taken)
-        if not taken:
+            return next(d for d in numbered if not d.exists())
+        begun = [d for d in numbered if (d / CONFIG).exists()]
+        if not begun:
             raise UsageError(f"--resume: found no run {run!r} in {root}; start without --resume")
-        return taken[-1]
+        return begun[-1]
     if resume and not (run_dir / CONFIG).exists():
         raise UsageError(f"--resume: {run_dir} holds no {CONFIG}; name a run directory")
     if not resume and (run_dir / CONFIG).exists():
@@ -84,26 +117,26 @@ class RunDirectory:
         self.path = path
         self._clock = clock
         self._update_columns = update_columns
-        try:
+        with _writing(path):
             path.mkdir(parents=True, exist_ok=True)
             self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
             self._updates = self._open_table("updates.csv", update_columns)
             self._events = (path / "events.jsonl").open("a", buffering=1)
-        except OSError as error:
-            raise RunDirectoryError(f"{path}: {error.strerror}") from None
 
     def _open_table(self, name: str, columns: tuple[str, ...]) -> IO[str]:
         path = self.path / name
-        is_new = not path.exists() or path.stat().st_size == 0
+        whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
         file = path.open("a", newline="", buffering=1)
-        if is_new:
+        file.truncate(whole)  # a row torn by a kill, or for want of room
+        if not whole:
             csv.writer(file).writerow(columns)
         return file
 
     def episode(self, **row: object) -> None:
         """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first."""
         values = [row[name] for name in EPISODE_COLUMNS[1:]]
-        csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values])
+        with _writing(self._episodes.name):
+            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values])
 
     def read_episodes(self) -> Iterator[tuple[float, int]]:
         """Yield return and length of every episode so far."""
@@ -120,7 +153,8 @@ class RunDirectory:
 
     def update(self, row: Mapping[str, object]) -> None:
         """Append to ``updates.csv``."""
-        csv.writer(self._updates).writerow([_short(row[c]) for c in self._update_columns])
+        with _writing(self._updates.name):
+            csv.writer(self._updates).writerow([_short(row[c]) for c in self._update_columns])
 
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
@@ -133,7 +167,8 @@ class RunDirectory:
     def event(self, kind: str, **details: object) -> None:
         """Append to ``events.jsonl``."""
         stamp = {"wall_s": round(self._clock(), 3), "time": round(time.time(), 3), "event": kind}
-        self._events.write(json.dumps(stamp | details) + "\n")
+        with _writing(self._events.name):
+            self._events.write(json.dumps(stamp | details) + "\n")
 
     def policy(self, place: str, graph: bytes) -> None:
         """Write ``PLACE/policy.onnx``, for example ``latest/policy.onnx``."""

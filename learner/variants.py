@@ -4,7 +4,7 @@ from pathlib import Path
 
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.configuration import Configuration
-from a2s.learner.learning import Learning
+from a2s.learner.learning import Learning, Saved
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_learning import OffPolicyLearning
@@ -18,16 +18,17 @@ def make_learning(
     path: Path,
     ledger: Ledger,
     metrics: LearnerMetrics,
+    saved: Saved | None,
 ) -> Learning:
-    """Make it for a run in a directory.
+    """Make it for a run in a directory, to begin or to go on from what was saved.
 
     Raises:
-        RunDirectoryError: Its replay cannot be made or opened.
+        RunDirectoryError: Its replay cannot be made or opened, or what was saved does not fit.
         UsageError: Its hyperparameters contradict each other.
     """
     run, hyper = configuration.run, configuration.hyper
     if isinstance(hyper, OffPolicyHyper):
         return OffPolicyLearning(
-            run.env, spaces, hyper, run.seed, path, ledger, metrics, run.device
+            run.env, spaces, hyper, run.seed, path, ledger, metrics, run.device, saved
         )
-    return OnPolicyLearning(spaces, hyper, run.seed, metrics)
+    return OnPolicyLearning(spaces, hyper, run.seed, metrics, saved)

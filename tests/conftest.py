@@ -1,10 +1,13 @@
 """What tests share: the plug-in environments, graphs, and waiting without sleeping."""
 
 import os
+import resource
+import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +28,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 
 MakeGraph = Callable[..., bytes]
 WaitFor = Callable[..., None]
+NoRoom = Callable[[], AbstractContextManager[None]]
 
 
 @pytest.fixture(autouse=True)
@@ -63,6 +67,24 @@ def make_notice() -> Callable[..., Notice]:
         return Notice(sha256="", **{**values, **fields})
 
     return make
+
+
+@pytest.fixture
+def no_room() -> NoRoom:
+    """As long as a block lasts the kernel lets no file grow beyond 100 bytes."""
+
+    @contextmanager
+    def limited() -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            signal.signal(signal.SIGXFSZ, ignored)
+
+    return limited
 
 
 @pytest.fixture

@@ -107,29 +107,36 @@ class Limiter:
         """A batch was sampled."""
         self.samples += self._batch_size
 
-    def state(self) -> dict[str, int]:
+    def state(self) -> dict[str, float]:
         """What a checkpoint holds."""
         return {
             "inserts": self.inserts,
-            "samples": self.samples,
+            "error": self.error,
             "insert_waits": self.insert_waits,
             "sample_waits": self.sample_waits,
         }
 
-    def load(self, state: Mapping[str, int]) -> None:
-        """Go on from a checkpoint.
+    def load(self, state: Mapping[str, float], inserts: int) -> None:
+        """Go on from a checkpoint: as far behind as then, by what was inserted since.
+
+        Args:
+            state: Of the checkpoint; the ratio may have been another.
+            inserts: Transitions inserted by now; fewer if another replay was begun.
 
         Raises:
             RunDirectoryError: The state is not one.
         """
         try:
-            found = {name: int(state[name]) for name in self.state()}
+            found = {name: float(state[name]) for name in self.state()}
         except (KeyError, TypeError, ValueError) as error:
             raise RunDirectoryError(
                 f"checkpoint: samples per insert: found no usable {error}"
             ) from None
-        self.inserts, self.samples = found["inserts"], found["samples"]
-        self.insert_waits, self.sample_waits = found["insert_waits"], found["sample_waits"]
+        due = found["error"] + self._ratio * max(0.0, inserts - found["inserts"])
+        self.inserts = inserts
+        self.samples = max(0, round(self._ratio * (inserts - self._min_size) - due))
+        self.insert_waits = int(found["insert_waits"])
+        self.sample_waits = int(found["sample_waits"])
 
     def _error(self, inserts: int) -> float:
         return self._ratio * (inserts - self._min_size) - self.samples

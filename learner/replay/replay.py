@@ -157,6 +157,12 @@ class Replay:
                 weight = np.ones(batch_size, np.float32)
             return self._transitions(row, weight, n_step, gamma)
 
+    def obs_since(self, row: int) -> Array:
+        """Observations of the rows from this number on that are still there, ``[N, D]``."""
+        with self._guard:
+            rows = np.arange(max(row, self._ring.begin), self._ring.end)
+            return self._ring.slots.obs[self._ring.slot(rows)]
+
     def update_priorities(self, row: Rows, priority: Array | Floats) -> None:
         """Set the priorities of sampled rows; those evicted since are passed over.
 

@@ -13,8 +13,8 @@ STATE = {"updates": 3, "best": None, "r": [0.1, -2.5e-300]}
 
 
 def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
-    path, size = checkpoint.save(tmp_path / "c", 3, TENSORS, STATE)
-    tensors, state = checkpoint.load(tmp_path / "c")
+    path, size = checkpoint.save(tmp_path / "c", 3, TENSORS, STATE, kind="k")
+    tensors, state = checkpoint.load(tmp_path / "c", kind="k")
     assert state == STATE
     assert all(torch.equal(tensors[name], tensor) for name, tensor in TENSORS.items())
     assert tensors["generator"].dtype == torch.uint8
@@ -23,22 +23,40 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
 
 def test_the_newest_is_loaded_and_three_are_kept(tmp_path: Path) -> None:
     for updates in (1, 20, 40, 60, 1000):
-        checkpoint.save(tmp_path, updates, TENSORS, {"updates": updates})
-    assert checkpoint.load(tmp_path)[1] == {"updates": 1000}
+        checkpoint.save(tmp_path, updates, TENSORS, {"updates": updates}, kind="k")
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1000}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["00000040", "00000060", "00001000"]
 
 
+def test_one_of_the_same_update_takes_the_place_of_none(tmp_path: Path) -> None:
+    """Whoever is killed while it is written loses nothing."""
+    for count in range(5):
+        checkpoint.save(tmp_path, 7, TENSORS, {"count": count}, kind="k")
+        assert checkpoint.load(tmp_path, kind="k")[1] == {"count": count}
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "00000007-0002", "00000007-0003", "00000007-0004"
+    ]  # fmt: skip
+    checkpoint.save(tmp_path, 8, TENSORS, {"count": 5}, kind="k")
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"count": 5}
+
+
+def test_one_of_another_kind_is_refused(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="off-policy on Hopper-v5")
+    with pytest.raises(RunDirectoryError, match="found off-policy on Hopper-v5, expected k; --res"):
+        checkpoint.load(tmp_path, kind="k")
+
+
 def test_one_that_was_not_finished_is_not_seen(tmp_path: Path) -> None:
-    checkpoint.save(tmp_path, 1, TENSORS, {"updates": 1})
+    checkpoint.save(tmp_path, 1, TENSORS, {"updates": 1}, kind="k")
     (tmp_path / ".00000002.partial").mkdir()
-    assert checkpoint.load(tmp_path)[1] == {"updates": 1}
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1}
 
 
 @pytest.mark.parametrize("name", ["tensors.safetensors", "state.json"])
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
 def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, damage: str) -> None:
-    checkpoint.save(tmp_path, 1, TENSORS, STATE)
-    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE)
+    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
+    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
     file = path / name
     data = bytearray(file.read_bytes())
     if damage == "remove":
@@ -49,17 +67,17 @@ def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, d
     with pytest.raises(
         RunDirectoryError, match=r"00000002.*delete .* to go on from the one before"
     ):
-        checkpoint.load(tmp_path)
+        checkpoint.load(tmp_path, kind="k")
 
 
 def test_resuming_without_one_says_so(tmp_path: Path) -> None:
     with pytest.raises(RunDirectoryError, match="found no checkpoint; start without --resume"):
-        checkpoint.load(tmp_path / "none")
+        checkpoint.load(tmp_path / "none", kind="k")
 
 
 def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
-    path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE)
+    path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
     text = (path / "state.json").read_text()
-    (path / "state.json").write_text(text.replace('"format": 2', '"format": 1'))
-    with pytest.raises(RunDirectoryError, match="found format 1, expected 2; another version"):
-        checkpoint.load(tmp_path)
+    (path / "state.json").write_text(text.replace('"format": 3', '"format": 2'))
+    with pytest.raises(RunDirectoryError, match="found format 2, expected 3; another version"):
+        checkpoint.load(tmp_path, kind="k")

@@ -71,6 +71,8 @@ def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_upd
 ) -> None:
     """Rewards of 3, of what follows a thousandth: 3.003, and 3 at the end."""
     learner(tmp_path, replay(3.0), normalise_return="true", gamma="0.001").run(lambda: False)
-    tensors, _ = checkpoint.load(tmp_path / "checkpoints")
+    tensors, _ = checkpoint.load(
+        tmp_path / "checkpoints", kind="off-policy on Hopper-v5 from a replay"
+    )
     assert float(tensors["return_size.samples"]) == 5
     assert float(tensors["return_size.mean_square"]) == pytest.approx(9.017, abs=0.02)

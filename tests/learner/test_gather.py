@@ -1,6 +1,7 @@
 """Gathering: what is accepted, stale and refused, and when a batch is complete."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ SPACES = Spaces(
     action_high=np.full(1, 1, dtype=np.float32),
 )
 MakeNotice = Callable[..., Notice]
+NoRoom = Callable[[], AbstractContextManager[None]]
 
 
 class _Run:
@@ -133,6 +135,20 @@ def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
     assert run.ledger.accounts().accepted == 1
     with pytest.raises(RunDirectoryError, match="no space left"):
         run.gather.next_batch(lambda _: True)
+
+
+def test_what_cannot_be_written_down_is_not_stored_again(run: _Run, no_room: NoRoom) -> None:
+    """However often it is sent; and nothing else is, once one has failed."""
+    run.join("a")
+    for seq in range(6):  # lines of 15 bytes
+        run.gather.segment(_segment(seq=seq))
+    with no_room(), pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
+        run.gather.segment(_segment(seq=6))
+    for seq in (6, 7):
+        with pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
+            run.gather.segment(_segment(seq=seq))
+    assert [segment.seq for segment in run.kept] == list(range(7))
+    assert run.ledger.accounts().accepted == 6
 
 
 def test_any_age_may_be_allowed(tmp_path: Path, make_notice: MakeNotice) -> None:

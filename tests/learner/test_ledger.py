@@ -1,5 +1,7 @@
 """The accounts: exactly once, whatever is killed, and they always balance."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from a2s.learner.ledger import Accounts, Ledger
 from a2s.protocol.errors import RunDirectoryError
 
+NoRoom = Callable[[], AbstractContextManager[None]]
 EVENTS = st.lists(
     st.tuples(
         st.sampled_from(["a", "b"]),
@@ -87,3 +90,22 @@ def test_a_file_of_another_kind_is_refused_and_left_alone(tmp_path: Path) -> Non
     with pytest.raises(RunDirectoryError, match=r"segments\.log: found 'wall_s,return'"):
         Ledger(path)
     assert path.read_text() == "wall_s,return\n1,2\n"
+
+
+def test_an_answer_for_which_there_is_no_room_leaves_no_trace(
+    tmp_path: Path, no_room: NoRoom
+) -> None:
+    """Also not a half of its line, which the next would be glued to."""
+    path = tmp_path / "segments.log"
+    ledger = Ledger(path)
+    for seq in range(6):
+        ledger.record("a", seq, "accepted", 4)
+    with no_room(), pytest.raises(RunDirectoryError, match=r"File too large; mend that and resume"):
+        ledger.record("a", 6, "accepted", 4)
+    assert path.stat().st_size == 100
+    assert not ledger.knows("a", 6)
+    ledger.record("b", 0, "accepted", 4)
+    ledger.close()
+    again = Ledger(path)
+    assert again.accounts() == ledger.accounts()
+    assert again.accepted_steps == 28

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from a2s.actors.suggester import Suggester
+from a2s.learner.learning import Saved
 from a2s.learner.ledger import Ledger
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_learning import OffPolicyLearning
@@ -31,12 +32,15 @@ Learn = Callable[..., OffPolicyLearning]
 def learning(tmp_path: Path) -> Learn:
     """Make one, in the directory ``place``."""
 
-    def make(place: str = "run", env_id: str = "Test-v0", **options: Any) -> OffPolicyLearning:
+    def make(
+        place: str = "run", env_id: str = "Test-v0", saved: Saved | None = None, **options: Any
+    ) -> OffPolicyLearning:
         path = tmp_path / place
         path.mkdir(exist_ok=True)
         ledger = Ledger(path / "segments.log")
         hyper = off_policy("modern", {**SMALL, **options})
-        return OffPolicyLearning(env_id, SPACES, hyper, 7, path, ledger, LearnerMetrics(), "cpu")
+        metrics = LearnerMetrics()
+        return OffPolicyLearning(env_id, SPACES, hyper, 7, path, ledger, metrics, "cpu", saved)
 
     return make
 
@@ -211,11 +215,10 @@ def test_a_resumed_one_goes_on_to_the_bit(
     place = tmp_path / "run"
     run = learning(**options)
     play(run, 0, 8, place)
-    tensors, scalars = run.state()
+    saved = run.state()
     shutil.copytree(place, tmp_path / "copy")
     play(run, 8, 4)
-    again = learning("copy", **options)
-    again.load(tensors, scalars)
+    again = learning("copy", saved=saved, **options)
     play(again, 8, 4)
     one, two = run.state(), again.state()
     assert one[1] == two[1]
@@ -228,17 +231,48 @@ def test_what_came_after_the_checkpoint_is_still_there_and_due(
     place = tmp_path / "run"
     run = learning()
     play(run, 0, 8, place)
-    tensors, scalars = run.state()
+    saved = run.state()
     for seq in range(8, 12):
         run.keep(segment(seq, place=place))
     run.keep(segment(12))  # never written into the ledger, so never acknowledged
     run.close()
-    again = learning()
-    again.load(tensors, scalars)
+    again = learning(saved=saved)
     again.quota(num_envs=4)
     outcome = again.learn([segment(99, steps=20)], 0.0, is_behind=False)
     assert outcome.row["replay_rows"] == 12 * 5
     assert outcome.row["gradient_steps"] == 40  # 60 steps, 20 of warm-up, 10 ahead, 10 were made
+
+
+def test_observations_that_came_after_the_checkpoint_are_taken_into_account(
+    learning: Learn, tmp_path: Path
+) -> None:
+    """Each once: those of the batches before it are in the state."""
+    place = tmp_path / "run"
+    run = learning()
+    play(run, 0, 3, place)
+    saved = run.state()
+    for seq in range(3, 12):
+        run.keep(segment(seq, place=place))
+    run.close()
+    again = learning(saved=saved)
+    tensors, scalars = again.state()
+    obs = np.concatenate([segment(seq).obs for seq in range(12)]).astype(np.float64)
+    assert float(tensors["normaliser.count"]) == len(obs)
+    np.testing.assert_allclose(tensors["normaliser.mean"], obs.mean(0), rtol=1e-12)
+    np.testing.assert_allclose(tensors["normaliser.variance"], obs.var(0), rtol=1e-12)
+    assert scalars["learned_from"] == len(obs)
+
+
+def test_a_state_that_does_not_fit_leaves_the_replay_alone(learning: Learn, tmp_path: Path) -> None:
+    place = tmp_path / "run"
+    run = learning()
+    play(run, 0, 8, place)
+    saved = run.state()
+    run.close()
+    before = sorted((p.name, p.stat().st_size) for p in (place / "replay").iterdir())
+    with pytest.raises(RunDirectoryError, match="critics"):
+        learning(saved=saved, critics=3, replay_rows=10)
+    assert sorted((p.name, p.stat().st_size) for p in (place / "replay").iterdir()) == before
 
 
 def test_a_replay_of_another_environment_is_refused(learning: Learn) -> None:

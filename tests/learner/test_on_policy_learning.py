@@ -15,6 +15,6 @@ SPACES = Spaces(
 
 
 def test_actors_wait_while_a_whole_batch_waits() -> None:
-    learning = OnPolicyLearning(SPACES, on_policy("modern", "a2s", {}), 0, LearnerMetrics())
+    learning = OnPolicyLearning(SPACES, on_policy("modern", "a2s", {}), 0, LearnerMetrics(), None)
     assert learning.hold_s(0.99) == 0.0
     assert learning.hold_s(1.0) > 0.0

@@ -1,12 +1,16 @@
 """The directory of a run: where it is, and what stands in it."""
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from a2s.learner.run_directory import RunDirectory, choose
-from a2s.protocol.errors import UsageError
+from a2s.learner.run_directory import RunDirectory, choose, claimed, write_atomically
+from a2s.protocol.errors import RunDirectoryError, UsageError
+
+NoRoom = Callable[[], AbstractContextManager[None]]
 
 
 def _made(path: Path) -> Path:
@@ -20,7 +24,9 @@ def test_a_run_gets_a_directory_of_its_own(tmp_path: Path) -> None:
     _made(tmp_path / "hop")
     assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-2"
     _made(tmp_path / "hop-2")
-    assert choose(tmp_path, "hop", None, resume=True) == tmp_path / "hop-2"
+    (tmp_path / "hop-3").mkdir()
+    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-4"
+    assert choose(tmp_path, "hop", None, resume=True) == tmp_path / "hop-2"  # 3 never began
 
 
 def test_a_named_directory_is_never_overwritten(tmp_path: Path) -> None:
@@ -63,3 +69,40 @@ def test_episodes_are_read_back(tmp_path: Path) -> None:
     header, line = (tmp_path / "episodes.csv").read_text().splitlines()
     assert header == "wall_s,env_steps,actor,weights_version,return,length,terminated"
     assert line == "0.000,5,0,1,-3.25,5,1"
+
+
+@pytest.mark.parametrize("torn", ["1.000,9", "1.000,9,0,1,-3.25,5,1"])
+def test_a_torn_row_is_forgotten(tmp_path: Path, torn: str) -> None:
+    RunDirectory(tmp_path, ("update",), lambda: 0.0).close()
+    with (tmp_path / "episodes.csv").open("a") as file:
+        file.write(f"0.000,5,0,1,1.5,5,1\r\n{torn}")
+    directory = RunDirectory(tmp_path, ("update",), lambda: 2.0)
+    row = {"env_steps": 7, "actor": 0, "weights_version": 1, "length": 2, "terminated": 1}
+    directory.episode(**row, **{"return": "2.5"})
+    assert list(directory.read_episodes()) == [(1.5, 5), (2.5, 2)]
+    directory.close()
+
+
+def test_one_learner_is_at_work_in_a_directory(tmp_path: Path) -> None:
+    with (
+        claimed(tmp_path / "run"),
+        pytest.raises(RunDirectoryError, match=r"run: another learner is at work there"),
+        claimed(tmp_path / "run"),
+    ):
+        pass
+    with claimed(tmp_path / "run"):
+        pass
+
+
+def test_a_file_for_which_there_is_no_room_is_named_and_the_old_one_kept(
+    tmp_path: Path, no_room: NoRoom
+) -> None:
+    path = tmp_path / "policy.onnx"
+    write_atomically(path, b"old")
+    with no_room(), pytest.raises(RunDirectoryError, match=r"policy.onnx: File too large"):
+        write_atomically(path, bytes(1000))
+    assert path.read_bytes() == b"old"
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    with no_room(), pytest.raises(RunDirectoryError, match=r"updates.csv: File too large"):
+        directory.update({"update": "1" * 1000})
+    directory.close()

@@ -61,6 +61,27 @@ def test_lockstep_with_one_actor_is_reproducible_to_the_bit(
     assert summaries[0]["weights_sha256"] == summaries[1]["weights_sha256"]
 
 
+def test_a_resume_that_cannot_go_on_changes_nothing(
+    start: Start, run_a2s: RunA2S, endpoint: str, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    run_a2s("train", *REACH, *SMALL, "--total-steps", "300", "--run-dir", str(run))
+    watched = [run / "config.toml", run / "segments.log", *(run / "replay").iterdir()]
+    before = [(path, path.stat().st_size, path.read_bytes()) for path in watched]
+    for options, words in (
+        (("--env", "InvertedPendulum-v5"), "found off-policy on a2s_test_envs:Reach-v0, expected"),
+        (("--variant", "on-policy"), "act_suggestions"),
+        (("--set", "critic_sizes=32,32", "--set", "replay_rows=100"), "critics"),
+    ):
+        there = ("--run-dir", str(run), "--listen", endpoint, "--metrics-port", "-1")
+        learner = start("learner", "--resume", *options, *there)
+        assert learner.process.wait(PATIENCE_S) in (1, 2)
+        assert words in learner.log.read_text().splitlines()[-1]
+        assert [(path, path.stat().st_size, path.read_bytes()) for path in watched] == before
+    again = ("train", "--resume", "--run-dir", str(run), "--total-steps", "400")
+    assert run_a2s(*again)["env_steps"] >= 400
+
+
 def test_kills_lose_no_acknowledged_transition_and_double_none(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:

@@ -58,12 +58,11 @@ def learn(
     metrics = LearnerMetrics()
     metrics.run.info({"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)})
     with (
+        run_directory.claimed(path),
         stop_on_signals() as stop,
         closing(ZenohBus.listen(endpoint)) as bus,
         _served(metrics, metrics_host, metrics_port) as metrics_url,
     ):
-        config = path / run_directory.CONFIG
-        run_directory.write_atomically(config, configuration.to_toml().encode())
         out = sys.stderr if as_json else sys.stdout
         out.write(_banner(configuration, path, endpoint, metrics_url))
         out.flush()
@@ -77,6 +76,7 @@ def learn(
                 view=view,
                 resume=resume,
             )
+            _write_down(configuration, path)
             summary = learner.run(stop.is_set)
         out.write(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
@@ -126,6 +126,7 @@ def learn_from(
     _require_device(configuration.run.device)
     out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
     with ExitStack() as stack:
+        stack.enter_context(run_directory.claimed(path))
         replay, about, size = _source(source, connect, stack)
         if env not in (None, about.env_id):
             raise UsageError(
@@ -147,8 +148,7 @@ def learn_from(
         metrics.run.info(
             {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
         )
-        text = configuration.to_toml()
-        run_directory.write_atomically(path / run_directory.CONFIG, text.encode())
+        _write_down(configuration, path)
         out.write(
             f"a2s learner: {run.env} from the replay of {source}, {size():,} transitions\n"
             f"  metrics     {url}\n  run         {path}\n"
@@ -161,6 +161,12 @@ def learn_from(
     )
     out.flush()
     return _end(summary, stop, as_json=as_json)
+
+
+def _write_down(configuration: Configuration, path: Path) -> None:
+    """Only once the run can go on with it: what was there before is resumed by default."""
+    text = configuration.to_toml()
+    run_directory.write_atomically(path / run_directory.CONFIG, text.encode())
 
 
 def _require_device(device: str) -> None:

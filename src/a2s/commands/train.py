@@ -98,10 +98,10 @@ def _run(
     finally:
         _end(learner)
     if learner.returncode not in (0, EXIT_INTERRUPTED):
-        raise A2SError(
-            f"the learner ended with code {learner.returncode}; "
-            f"go on from its checkpoint with: a2s train --resume --run-dir {path}"
-        )
+        advice = "nothing was begun"
+        if (path / run_directory.CONFIG).exists():
+            advice = f"go on from its checkpoint with: a2s train --resume --run-dir {path}"
+        raise A2SError(f"the learner ended with code {learner.returncode}; {advice}")
 
 
 def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:

@@ -93,15 +93,37 @@ def test_numbers_out_of_range_are_refused(name: str, value: float) -> None:
 
 
 @settings(deadline=None)
-@given(inserts=st.integers(0, 10**12), samples=st.integers(0, 10**12))
-def test_its_state_goes_through_a_checkpoint(inserts: int, samples: int) -> None:
-    """And what is none is refused."""
+@given(inserts=st.integers(0, 10**12), samples=st.integers(0, 10**12), more=st.integers(0, 99))
+def test_its_state_goes_through_a_checkpoint(inserts: int, samples: int, more: int) -> None:
+    """And what was inserted since is due; what is no state is refused."""
     first, again = (Limiter(1.0, 1, 99.0, segment_steps=9, batch_size=9) for _ in range(2))
     first.inserts, first.samples = inserts, samples
     first.may_insert()
     first.may_sample()
-    again.load(first.state())
+    state = first.state()
+    again.load(state, inserts)
+    assert again.state() == state
+    first.count_insert(more)
+    again.load(state, inserts + more)
     assert again.state() == first.state()
-    assert again.error == first.error
-    with pytest.raises(RunDirectoryError, match="found no usable 'samples'"):
-        again.load({"inserts": 3})
+    with pytest.raises(RunDirectoryError, match="found no usable 'error'"):
+        again.load({"inserts": 3}, 3)
+
+
+def test_another_ratio_is_not_asked_of_what_was_inserted_before() -> None:
+    """Otherwise half the updates a step would mean none for as long as the run has lasted."""
+    before, after = (Limiter(r, 100, 400.0, segment_steps=10, batch_size=10) for r in (10.0, 5.0))
+    before.inserts, before.samples = 5_000, 48_900
+    assert before.error == 100.0
+    after.load(before.state(), 5_020)
+    assert after.error == 100.0 + 20 * 5.0
+
+
+def test_with_another_replay_it_is_filled_first_again() -> None:
+    limiter = Limiter(10.0, 100, 400.0, segment_steps=10, batch_size=10)
+    limiter.inserts, limiter.samples = 5_000, 48_900
+    limiter.load(limiter.state(), 0)
+    assert not limiter.may_sample()
+    limiter.count_insert(102)
+    assert limiter.may_sample()
+    assert limiter.error == 20.0
