@@ -11,7 +11,7 @@ from a2s.learner.replay import description
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.priorities import Priorities
-from a2s.learner.replay.records import Records
+from a2s.learner.replay.record import Record
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.resize import copy_newest
 from a2s.learner.replay.ring import Ring
@@ -67,7 +67,7 @@ def create(
         raise
     ring = Ring(capacity, store.slots)
     priorities = Priorities(store.priority, alpha)
-    return Replay(about, ring, priorities, store=store, index=index, lock_file=lock_file)
+    return Replay(about, ring, priorities, index=index, lock_file=lock_file)
 
 
 def open_existing(
@@ -105,13 +105,12 @@ def open_existing(
     lock_file = lock(path)
     try:
         store = Store(path, about, writable=True)
-        ring = Ring(about.capacity, store.slots)
-        records, taken_back = store.restore(ring, is_known)
+        ring, records, live = store.restore(is_known)
         if capacity == about.capacity:
             index = store.index(records.num_bytes)
         else:
             about = replace(about, capacity=capacity, files=about.files + 1)
-            store, ring, index = _resized(path, about, store, ring, records)
+            store, ring, index = _resized(path, about, store, ring, live)
     except BaseException:
         os.close(lock_file)
         raise
@@ -121,11 +120,10 @@ def open_existing(
         about,
         ring,
         priorities,
-        store=store,
         index=index,
         lock_file=lock_file,
         torn_records=records.torn,
-        taken_back=taken_back,
+        taken_back=records.taken_back,
     )
 
 
@@ -139,20 +137,19 @@ def look_at(path: Path, *, alpha: float = 0.6) -> Replay:
     """
     about = description.read(path)
     store = Store(path, about, writable=False)
-    ring = Ring(about.capacity, store.slots)
-    records, _ = store.restore(ring, None)
+    ring, records, _ = store.restore()
     priorities = Priorities(store.priority.copy(), alpha)
     priorities.restore(ring.begin, ring.end)
-    return Replay(about, ring, priorities, store=store, torn_records=records.torn)
+    return Replay(about, ring, priorities, is_writable=False, torn_records=records.torn)
 
 
 def _resized(
-    path: Path, about: Description, store: Store, ring: Ring, records: Records
+    path: Path, about: Description, store: Store, ring: Ring, live: list[Record]
 ) -> tuple[Store, Ring, Index]:
     target = Store.make(path, about)
     copied = Ring(about.capacity, target.slots)
     index = target.index(0)
-    packed = copy_newest(ring, records.live(ring.capacity), copied)
+    packed = copy_newest(ring, live, copied)
     index.append(packed, copied.begin)
     row = np.arange(copied.begin, copied.end)
     target.priority[row % len(target.priority)] = store.priority[row % len(store.priority)]

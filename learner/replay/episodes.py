@@ -9,7 +9,6 @@ import numpy as np
 from a2s.learner.replay import description
 from a2s.learner.replay.columns import Columns
 from a2s.learner.replay.record import STARTS, TERMINATED, TRUNCATED, Record
-from a2s.learner.replay.ring import Ring
 from a2s.learner.replay.store import Store
 from a2s.protocol.fields import Array
 
@@ -53,10 +52,7 @@ class StoredEpisodes:
 
     def __init__(self, path: Path) -> None:
         self.about = description.read(path)
-        store = Store(path, self.about, writable=False)
-        self._ring = Ring(self.about.capacity, store.slots)
-        records, _ = store.restore(self._ring, None)
-        self._records = records.live(self.about.capacity)
+        self._ring, _, self._records = Store(path, self.about, writable=False).restore()
         self.left_out = 0
 
     def __iter__(self) -> Iterator[Episode]:

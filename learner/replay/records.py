@@ -26,6 +26,7 @@ class Records:
 
     Attributes:
         torn: Records that a kill had torn, not counted among the rest.
+        taken_back: Rows of the records that were cut because they are not known elsewhere.
 
     Raises:
         RunDirectoryError: The file cannot be read, or a record is damaged and not merely torn.
@@ -49,6 +50,7 @@ class Records:
         if gap.any():
             raise self._damaged(f"record {int(gap.argmax()) + 1} does not follow the one before")
         self.torn = -(-len(data) // RECORD_BYTES) - self._end
+        self.taken_back = 0
         self._cut_unfinished()
 
     def __len__(self) -> int:
@@ -69,41 +71,31 @@ class Records:
         """The part of the file that counts."""
         return self._end * RECORD_BYTES
 
-    def live(self, capacity: int) -> list[Record]:
-        """Read the records of which a row is among the newest ``capacity``."""
-        if not len(self):
-            return []
-        ends = self.numbers["row"] + self.numbers["steps"]
-        first = int(ends.searchsorted(ends[-1] - capacity, side="right"))
-        return [unpack(self._data, i) for i in range(self._begin + first, self._end)]
-
-    def cut(self, is_known: Callable[[str, int], bool]) -> int:
+    def cut(self, is_known: Callable[[str, int], bool]) -> None:
         """Take back the segments at the end that were not written down elsewhere.
 
         Args:
             is_known: Whether the segment with this actor and number was.
-
-        Returns:
-            Rows taken back.
         """
-        rows = 0
         while len(self) and not is_known(self._last.actor, self._last.seq):
-            rows += self._last.steps
+            self.taken_back += self._last.steps
             self._end -= 1
-        return rows
 
-    def verify(self, capacity: int, checksum: Callable[[Record], int]) -> None:
+    def verify(self, capacity: int, checksum: Callable[[Record], int]) -> list[Record]:
         """Compare the live rows with their checksums; torn ones at the end are cut.
 
         Args:
             capacity: Of the replay.
             checksum: Computes that of the rows of a record.
 
+        Returns:
+            The records of which a row is among the newest ``capacity``.
+
         Raises:
             RunDirectoryError: Rows are damaged, and newer ones are not.
         """
         if not len(self):
-            return
+            return []
         reach = self._last.end - capacity - 2 * longest_piece(capacity)
         while len(self) and checksum(self._last) != self._last.rows_hash:
             self._end -= 1
@@ -111,9 +103,18 @@ class Records:
         self._cut_unfinished()
         # What was written after these rows may lie over them, if much of it was cut.
         self._begin += int(np.count_nonzero(self.numbers["row"] < reach))
-        for record in self.live(capacity):
+        live = self._live(capacity)
+        for record in live:
             if checksum(record) != record.rows_hash:
                 raise self._damaged(f"the checksum of the rows from {record.row} does not match")
+        return live
+
+    def _live(self, capacity: int) -> list[Record]:
+        if not len(self):
+            return []
+        ends = self.numbers["row"] + self.numbers["steps"]
+        first = int(ends.searchsorted(ends[-1] - capacity, side="right"))
+        return [unpack(self._data, i) for i in range(self._begin + first, self._end)]
 
     @property
     def _last(self) -> Record:

@@ -11,7 +11,6 @@ from a2s.learner.replay.description import Description
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.priorities import Priorities
 from a2s.learner.replay.ring import Ring, num_slots
-from a2s.learner.replay.store import Store
 from a2s.learner.replay.transitions import Floats, Rows, Transitions
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.fields import Array, Spaces
@@ -32,8 +31,8 @@ class Replay:
         about: Environment and capacity.
         ring: The rows.
         priorities: Their priorities.
-        store: The files; ``None`` in memory.
         index: Where insertions are written down; ``None`` in memory, or to read only.
+        is_writable: Whether transitions may be inserted.
         lock_file: Keeps other writers out; -1 without.
         torn_records: Pieces of segments that a kill had torn, cut when the replay was opened.
         taken_back: Rows cut then because the ledger did not know their segment.
@@ -45,8 +44,8 @@ class Replay:
         ring: Ring,
         priorities: Priorities,
         *,
-        store: Store | None = None,
         index: Index | None = None,
+        is_writable: bool = True,
         lock_file: int = -1,
         torn_records: int = 0,
         taken_back: int = 0,
@@ -56,10 +55,9 @@ class Replay:
         self.taken_back = taken_back
         self._ring = ring
         self._priorities = priorities
-        self._store = store
         self._index = index
         self._lock_file = lock_file
-        self._is_writable = store is None or index is not None
+        self._is_writable = is_writable
         self._guard = threading.Lock()
 
     @classmethod
@@ -182,12 +180,6 @@ class Replay:
                 live = row >= self._ring.begin
                 row, values = row[live], values[live]
             self._priorities.assign(row, values, highest)
-
-    def flush(self) -> None:
-        """Write everything to the disk, for the case that the machine dies, not only we."""
-        if self._store is not None and self._index is not None:
-            self._store.flush()
-            self._index.flush()
 
     def close(self) -> None:
         """Close the files; may be called twice."""

@@ -76,22 +76,24 @@ class Store:
         return Index(self._file("index"), size)
 
     def restore(
-        self, ring: Ring, is_known: Callable[[str, int], bool] | None
-    ) -> tuple[Records, int]:
+        self, is_known: Callable[[str, int], bool] | None = None
+    ) -> tuple[Ring, Records, list[Record]]:
         """Make live what the index vouches for.
 
         Returns:
-            The records that count, and how many rows ``is_known`` took back.
+            The rows, the records that count, and those of live rows.
         """
+        ring = Ring(self.about.capacity, self.slots)
         records = Records(self._file("index"))
-        taken_back = 0 if is_known is None else records.cut(is_known)
+        if is_known is not None:
+            records.cut(is_known)
 
         def checksum(record: Record) -> int:
             return ring.stretch(record.row, record.steps).checksum()
 
-        records.verify(self.about.capacity, checksum)
-        ring.restore(records.numbers, records.live(self.about.capacity), records.next_row)
-        return records, taken_back
+        live = records.verify(self.about.capacity, checksum)
+        ring.restore(records.numbers, live, records.next_row)
+        return ring, records, live
 
     def flush(self) -> None:
         """Write the rows to the disk, for the case that the machine dies."""
