@@ -152,7 +152,8 @@ class OffPolicyHyper:
         check(self, _INTEGERS, _NUMBERS)
         check_most("distil_top", self.distil_top, "distil_suggestions", self.distil_suggestions)
         check_most("batch_rows", self.batch_rows, "replay_rows", self.replay_rows)
-        check_most("send_every_steps", self.send_every_steps, "lead_steps", self.lead_steps)
+        for other in ("lead_steps", "replay_rows"):
+            check_most("send_every_steps", self.send_every_steps, other, getattr(self, other))
         if self.dropped_quantiles >= self.quantiles:
             expected = f"fewer than quantiles ({self.quantiles})"
             refuse("dropped_quantiles", self.dropped_quantiles, expected)

@@ -51,6 +51,7 @@ class Records:
             raise self._damaged(f"record {int(gap.argmax()) + 1} does not follow the one before")
         self.torn = -(-len(data) // RECORD_BYTES) - self._end
         self.taken_back = 0
+        self._written = self.next_row
         self._cut_unfinished()
 
     def __len__(self) -> int:
@@ -96,12 +97,12 @@ class Records:
         """
         if not len(self):
             return []
-        reach = self._last.end - capacity - 2 * longest_piece(capacity)
         while len(self) and checksum(self._last) != self._last.rows_hash:
             self._end -= 1
             self.torn += 1
         self._cut_unfinished()
-        # What was written after these rows may lie over them, if much of it was cut.
+        # What was cut lies over the oldest rows, if it was much; a piece may have come after it.
+        reach = self._written - capacity - 2 * longest_piece(capacity)
         self._begin += int(np.count_nonzero(self.numbers["row"] < reach))
         live = self._live(capacity)
         for record in live:

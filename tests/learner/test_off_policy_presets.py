@@ -96,6 +96,10 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
         ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
         ({"replay_rows": 9}, r"batch_rows: found 256, expected at most replay_rows \(9\)"),
+        (
+            {"send_every_steps": 300, "lead_steps": 300, "replay_rows": 256},
+            r"send_every_steps: found 300, expected at most replay_rows \(256\)",
+        ),
         ({"lead_steps": 1}, r"send_every_steps: found \d+, expected at most lead_steps \(1\)"),
         (
             {"quantiles": 5, "dropped_quantiles": 5},

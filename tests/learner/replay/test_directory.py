@@ -169,6 +169,38 @@ def test_segments_that_the_ledger_does_not_know_are_taken_back(tmp_path: Path) -
         assert replay.end == 116
 
 
+def test_a_segment_of_many_pieces_is_taken_back(tmp_path: Path) -> None:
+    """It had been written over rows that would be there again: those stay evicted."""
+    replay = directory.create(tmp_path, ENV_ID, SPACES, 100)
+    for seq in range(25):
+        insert(replay, seq)
+    obs = [100.0 + i for i in range(351)]
+    replay.insert(make_segment(obs, [1.0] * 350, seq=25, before=100))
+    replay.close()
+    with opened(tmp_path, is_known=lambda _, seq: seq < 25) as replay:
+        assert (replay.taken_back, replay.torn_records) == (350, 0)
+        assert (len(replay), replay.end) == (0, 100)
+        insert(replay, 25)
+        assert observations(replay) == [100.0, 101.0, 102.0, 103.0]
+
+
+@pytest.mark.parametrize("steps", [150, 252])
+def test_rows_that_a_long_segment_was_not_written_over_are_there_again(
+    tmp_path: Path, steps: int
+) -> None:
+    """Of 400 slots, those of the newest 300 rows and of a piece that may have come next."""
+    replay = directory.create(tmp_path, ENV_ID, SPACES, 100)
+    for seq in range(50):
+        insert(replay, seq)
+    obs = [200.0 + i for i in range(steps + 1)]
+    replay.insert(make_segment(obs, [1.0] * steps, seq=50, before=200))
+    replay.close()
+    with opened(tmp_path, is_known=lambda _, seq: seq < 50) as replay:
+        first = max(100, 200 + steps - 300)
+        assert (replay.taken_back, replay.begin, replay.end) == (steps, first, 200)
+        assert observations(replay) == [float(i) for i in range(first, 200)]
+
+
 def test_the_index_does_not_grow_without_bound(tmp_path: Path) -> None:
     """Records of evicted rows go; what is opened again is the same."""
     fill(tmp_path, segments=4100, capacity=100)
