@@ -59,6 +59,12 @@ def create(
     try:
         if (path / description.NAME).exists():
             raise RunDirectoryError(f"replay {path}: is there already; resume, or name another run")
+        for index_file in path.glob("index-*.log"):
+            if index_file.stat().st_size:  # one that a kill left while it was made is empty
+                raise RunDirectoryError(
+                    f"replay {path}: found transitions in {index_file.name}, but no "
+                    f"{description.NAME}; move the directory away to begin another"
+                )
         store = Store.make(path, about)
         index = store.index(0)
         about.write(path)

@@ -285,6 +285,27 @@ def test_what_cannot_be_used_is_refused_by_one_line_and_left_alone(
     assert snapshot(path) == before
 
 
+def test_a_replay_that_lost_its_description_is_not_made_anew(tmp_path: Path) -> None:
+    """Its transitions are there; they are only left aside when they are moved away."""
+    path = fill(tmp_path / "replay")
+    (path / "replay.json").unlink()
+    before = snapshot(path)
+    with pytest.raises(RunDirectoryError) as caught:
+        directory.create(path, ENV_ID, SPACES, 100)
+    assert str(caught.value) == (
+        f"replay {path}: found transitions in index-1.log, but no replay.json; "
+        "move the directory away to begin another"
+    )
+    assert snapshot(path) == before
+
+
+def test_what_a_kill_left_while_a_replay_was_made_is_no_replay(tmp_path: Path) -> None:
+    """There is nothing in it: another is made in its place."""
+    directory.create(tmp_path, ENV_ID, SPACES, 100).close()
+    (tmp_path / "replay.json").unlink()
+    fill(tmp_path, capacity=50)
+
+
 def test_two_learners_cannot_write_to_one_replay(tmp_path: Path) -> None:
     """Anybody may look, though."""
     path = fill(tmp_path)
