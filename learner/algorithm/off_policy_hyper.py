@@ -46,7 +46,7 @@ _NUMBERS: dict[str, tuple[float, float]] = {
     "huber_width": (1e-9, 1e9),
     "initial_temperature": (0.0, 1e6),
     "entropy_per_action": (-1e3, 1e3),
-    "priority_exponent": (0.0, 10.0),
+    "priority_exponent": (0.0, 1.0),
     "importance_exponent": (0.0, 1.0),
 }
 
@@ -139,7 +139,7 @@ class OffPolicyHyper:
     prioritised: bool
     """Rows with a large error are sampled more often."""
     priority_exponent: float
-    """Alpha: priorities are the errors to this power."""
+    """Alpha: priorities are the errors to this power, 0..1."""
     importance_exponent: float
     """Beta: weights undo the priorities to this power, 0..1."""
     send_every_steps: int

@@ -100,6 +100,7 @@ def test_overrides_are_read_by_the_type_of_their_field(
             {"send_every_steps": 300, "lead_steps": 300, "replay_rows": 256},
             r"send_every_steps: found 300, expected at most replay_rows \(256\)",
         ),
+        ({"priority_exponent": 1.5}, "priority_exponent: found 1.5, expected a number from 0 to 1"),
         ({"lead_steps": 1}, r"send_every_steps: found \d+, expected at most lead_steps \(1\)"),
         (
             {"quantiles": 5, "dropped_quantiles": 5},
