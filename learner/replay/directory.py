@@ -133,20 +133,39 @@ def open_existing(
     )
 
 
-def look_at(path: Path, *, alpha: float = 0.6) -> Replay:
+def look_at(path: Path, *, alpha: float = 0.6, alone: bool = False) -> Replay:
     """Open a replay to read it, also while a learner writes to it: it is seen as it is now.
 
-    Nothing in the directory is changed; what the learner inserts later is not seen.
+    Nothing in the directory is changed. What the learner inserts later is not seen, but comes to
+    lie over the oldest rows: whoever reads for long must be alone.
+
+    Args:
+        path: The directory.
+        alpha: Exponent of the priorities.
+        alone: Refuse one that a learner writes to, and keep learners out until it is closed.
 
     Raises:
-        RunDirectoryError: There is none, or it is damaged.
+        RunDirectoryError: There is none, it is damaged, or a learner writes to it.
     """
     about = description.read(path)
-    store = Store(path, about, writable=False)
-    ring, records, _ = store.restore()
+    lock_file = lock(path, to_read=True) if alone else -1
+    try:
+        store = Store(path, about, writable=False)
+        ring, records, _ = store.restore()
+    except BaseException:
+        if alone:
+            os.close(lock_file)
+        raise
     priorities = Priorities(store.priority.copy(), alpha)
     priorities.restore(ring.begin, ring.end)
-    return Replay(about, ring, priorities, is_writable=False, torn_records=records.torn)
+    return Replay(
+        about,
+        ring,
+        priorities,
+        is_writable=False,
+        lock_file=lock_file,
+        torn_records=records.torn,
+    )
 
 
 def _resized(

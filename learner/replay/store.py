@@ -110,21 +110,28 @@ class Store:
         return self.path / f"{kind}-{self.about.files}.{suffix}"
 
 
-def lock(path: Path) -> int:
-    """Keep other writers out until the returned descriptor is closed, or this process ends.
+def lock(path: Path, *, to_read: bool = False) -> int:
+    """Keep writers out until the returned descriptor is closed, or this process ends.
+
+    Args:
+        path: The directory.
+        to_read: Let others keep them out as well; else only one process can, which may write.
 
     Raises:
-        RunDirectoryError: Another process writes there.
+        RunDirectoryError: Another process writes there, or keeps writers out.
     """
+    access, kind = (os.O_RDONLY, fcntl.LOCK_SH) if to_read else (os.O_RDWR, fcntl.LOCK_EX)
     try:
-        file = os.open(path / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        file = os.open(path / "lock", access | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise RunDirectoryError(f"replay {path}: {error.strerror}") from None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
     except OSError:
         os.close(file)
         raise RunDirectoryError(
-            f"replay {path}: another learner writes to it; stop that one first"
+            f"replay {path}: a learner writes to it; name its run, with --connect, instead"
+            if to_read
+            else f"replay {path}: another learner writes to it, or learns from it; stop that first"
         ) from None
     return file

@@ -46,6 +46,7 @@ def test_offline_from_the_files_of_a_run_and_on_after_a_resume(
 def test_live_over_the_network_without_a_change_to_the_first(
     start: Start, run_a2s: RunA2S, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:
+    """Its files are refused meanwhile: rows would be written over while they are drawn."""
     first = start(
         "learner", *FILLS, "--listen", endpoint, "--run-dir", "first", "--total-steps", "100000"
     )
@@ -55,6 +56,9 @@ def test_live_over_the_network_without_a_change_to_the_first(
     wait_for(lambda: (tmp_path / "first" / "replay").exists(), "a replay")
     summary = run_a2s(*second, *options)
     assert summary["updates"] == 300
+    refused = start("learner", "--replay-from", "first", *options[:2])
+    assert refused.process.wait(PATIENCE_S) == 1
+    assert "first/replay: a learner writes to it; name its run" in refused.text()
     assert first.end(signal.SIGINT) == 130
     events = [json.loads(x) for x in (tmp_path / "first/events.jsonl").read_text().splitlines()]
     assert [e["event"] for e in events if e["event"] in ("refusal", "leave")] == []

@@ -186,7 +186,8 @@ def _source(
 ) -> tuple[Source, Description | ReplayInfo, Callable[[], int]]:
     """Open the replay of a run: what it is, and how many transitions it holds."""
     if Path(source).is_dir():
-        stored = directory.look_at(directory.find(Path(source)))
+        stored = directory.look_at(directory.find(Path(source)), alone=True)
+        stack.callback(stored.close)
         return stored, stored.about, lambda: len(stored)
     bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
     remote = RemoteReplay(bus, Keys(source))

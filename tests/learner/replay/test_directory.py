@@ -323,6 +323,24 @@ def test_two_learners_cannot_write_to_one_replay(tmp_path: Path) -> None:
         assert replay.end == 44
 
 
+def test_who_looks_alone_keeps_learners_out(tmp_path: Path) -> None:
+    """Or rows would be written over under its eyes; others may look, alone as well."""
+    path = fill(tmp_path)
+    said = "a learner writes to it; name its run, with --connect, instead"
+    with opened(path), pytest.raises(RunDirectoryError, match=said):
+        directory.look_at(path, alone=True)
+    before = snapshot(path)
+    looking = [directory.look_at(path, alone=True) for _ in range(2)]
+    for replay in looking:
+        with pytest.raises(RunDirectoryError, match="or learns from it; stop that first"):
+            directory.open_existing(path)
+        directory.look_at(path)
+        replay.close()
+    assert snapshot(path) == before
+    with opened(path) as replay:
+        assert replay.end == 40
+
+
 @contextmanager
 def no_file_larger_than(num_bytes: int) -> Iterator[None]:
     """Let the system refuse to make files larger, as on a disk that is full."""
