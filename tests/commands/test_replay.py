@@ -100,6 +100,24 @@ def test_a_stored_replay_is_described_and_sampled(
     assert np.array_equal(np.array(batch["action"]), np.array(batch["obs"]) / 2)
 
 
+def test_a_stored_replay_is_sampled_by_the_exponent_of_its_run(
+    stored: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As its learner would: with 1, a priority of a million leaves little for the others."""
+    replay = directory.open_existing(stored / "replay")
+    replay.update_priorities(np.array([9]), np.array([1e6]))
+    replay.close()
+    shares = []
+    for hyper in ("", "[hyper]\npriority_exponent = 1.0\n", "[hyper]\npriority_exponent = 0.0\n"):
+        (stored / "config.toml").write_text(hyper)
+        arguments = ("sample", stored, "--batch-size", 4096, "--prioritised", "--json")
+        assert run(*arguments, monkeypatch=monkeypatch) == 0
+        rows = json.loads(capsys.readouterr().out)["row"]
+        shares.append(rows.count(9) / 4096)
+    # 24 rows; 10**3.6 beside 23 where the exponent is not known
+    assert shares == pytest.approx([3981 / 4004, 1.0, 1 / 24], abs=0.001)
+
+
 def test_a_served_replay_is_described_and_sampled_the_same(
     stored: Path,
     tmp_path: Path,

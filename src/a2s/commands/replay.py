@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from a2s.learner.configuration import read
 from a2s.learner.replay import directory
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.transitions import Transitions
+from a2s.learner.run_directory import CONFIG
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
 from a2s.protocol.replay_messages import COLUMNS
@@ -64,7 +66,8 @@ def sample(
     rng = np.random.default_rng(seed)
     if _is_stored(path, connect):
         assert path is not None
-        return directory.look_at(directory.find(path)).sample(batch_size, rng, **how)
+        stored = directory.find(path)
+        return directory.look_at(stored, alpha=_exponent(stored)).sample(batch_size, rng, **how)
     assert connect is not None
     with closing(ZenohBus.connect(connect, lambda: False)) as bus:
         return RemoteReplay(bus, Keys(run)).sample(batch_size, rng, **how)
@@ -86,6 +89,13 @@ def write(batch: Transitions, output: Path) -> None:
 def as_arrays(batch: Transitions) -> dict[str, Any]:
     """Name the columns of a batch."""
     return {name: getattr(batch, name) for name in COLUMNS}
+
+
+def _exponent(stored: Path) -> float:
+    """Find the exponent that the run of a replay directory gives its priorities."""
+    config = stored.parent / CONFIG
+    hyper = read(config)[1] if config.exists() else {}
+    return float(hyper.get("priority_exponent", 0.6))
 
 
 def _is_stored(path: Path | None, connect: str | None) -> bool:
