@@ -26,7 +26,7 @@ from a2s.learner.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
-from a2s.protocol.errors import A2SError
+from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.fields import Spaces
 
 logger = logging.getLogger(__name__)
@@ -48,11 +48,13 @@ class FromReplay:
         spaces: Of the environment of the replay.
         source: The replay.
         size: Asks how many transitions it holds now.
+        most: How many it comes to hold at most: its capacity, or what is stored.
         path: Directory of this run.
         metrics: Where updates are shown.
         resume: Go on from the newest checkpoint in ``path``.
 
     Raises:
+        UsageError: The replay never holds as much as a batch.
         RunDirectoryError: ``path`` cannot be written, or resumed.
     """
 
@@ -63,6 +65,7 @@ class FromReplay:
         spaces: Spaces,
         source: Source,
         size: Callable[[], int],
+        most: int,
         path: Path,
         metrics: LearnerMetrics,
         resume: bool,
@@ -70,6 +73,12 @@ class FromReplay:
         hyper = configuration.hyper
         assert isinstance(hyper, OffPolicyHyper)
         self._run, self._hyper = configuration.run, hyper
+        if most < hyper.batch_rows:
+            raise UsageError(
+                f"replay: found {most} transitions at most, expected a batch of "
+                f"{hyper.batch_rows}; set batch_rows, or name another replay"
+            )
+        self._wanted = min(max(hyper.warm_up_steps, hyper.batch_rows), most)
         self._source, self._size, self._metrics = source, size, metrics
         torch.set_num_threads(self._run.threads)
         keep_freed_memory()
@@ -110,15 +119,14 @@ class FromReplay:
             return self._finish()
 
     def _is_filled(self, stopped: Callable[[], bool]) -> bool:
-        """Wait until there is as much as a learner with actors would wait for."""
-        wanted = max(self._hyper.warm_up_steps, self._hyper.batch_rows)
+        """Wait until there is as much as a learner with actors would wait for, or all there is."""
         said_s = time.monotonic()
-        while (found := self._size()) < wanted:
+        while (found := self._size()) < self._wanted:
             if stopped():
                 return False
             if time.monotonic() - said_s >= _PATIENCE_S:
                 said_s = time.monotonic()
-                logger.warning("waiting for %d transitions, the replay has %d", wanted, found)
+                logger.warning("waiting for %d transitions, the replay has %d", self._wanted, found)
             time.sleep(_ASK_AGAIN_S)
         return True
 

@@ -10,7 +10,7 @@ from a2s.learner.configuration import assemble
 from a2s.learner.from_replay import FromReplay
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.replay.replay import Replay
-from a2s.protocol.errors import A2SError
+from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Segment
 
@@ -47,10 +47,25 @@ def learner(path: Path, source: Replay, **changed: str) -> FromReplay:
         spaces=SPACES,
         source=source,
         size=lambda: len(source),
+        most=len(source),
         path=path,
         metrics=LearnerMetrics(),
         resume=False,
     )
+
+
+def test_no_more_is_waited_for_than_can_come(tmp_path: Path) -> None:
+    """Twenty transitions of a hundred that a learner with actors would wait for."""
+    summary = learner(tmp_path, replay(1.0), warm_up_steps="100").run(lambda: False)
+    assert summary["updates"] == 100
+
+
+def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
+    """And nothing is left in the run's directory."""
+    reason = "found 20 transitions at most, expected a batch of 21; set batch_rows"
+    with pytest.raises(UsageError, match=reason):
+        learner(tmp_path, replay(1.0), batch_rows="21")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:

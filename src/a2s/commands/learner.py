@@ -15,6 +15,7 @@ from a2s.actors.environment import describe
 from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner import run_directory
+from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.batching import Source
 from a2s.learner.configuration import Configuration
 from a2s.learner.from_replay import FromReplay
@@ -127,7 +128,9 @@ def learn_from(
     out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
     with ExitStack() as stack:
         stack.enter_context(run_directory.claimed(path))
-        replay, about, size = _source(source, connect, stack)
+        hyper = configuration.hyper
+        assert isinstance(hyper, OffPolicyHyper)
+        replay, about, size, most = source_of(source, connect, stack, hyper.priority_exponent)
         if env not in (None, about.env_id):
             raise UsageError(
                 f"--env: found {env}, expected {about.env_id}, as the replay of {source}"
@@ -141,6 +144,7 @@ def learn_from(
             spaces=about.spaces,
             source=replay,
             size=size,
+            most=most,
             path=path,
             metrics=metrics,
             resume=resume,
@@ -181,14 +185,24 @@ def _end(summary: dict[str, Any], stop: Stop, *, as_json: bool) -> int:
     return EXIT_INTERRUPTED if stop.interrupted else 0
 
 
-def _source(
-    source: str, connect: str, stack: ExitStack
-) -> tuple[Source, Description | ReplayInfo, Callable[[], int]]:
-    """Open the replay of a run: what it is, and how many transitions it holds."""
+def source_of(
+    source: str, connect: str, stack: ExitStack, exponent: float
+) -> tuple[Source, Description | ReplayInfo, Callable[[], int], int]:
+    """Open the replay of a run.
+
+    Args:
+        source: A run directory, or the name of a run whose learner listens on ``connect``.
+        connect: Endpoint of that learner.
+        stack: Closes what was opened.
+        exponent: Of the priorities of a directory; a learner that serves has its own.
+
+    Returns:
+        The replay, what it is, how many transitions it holds now, and at most.
+    """
     if Path(source).is_dir():
-        stored = directory.look_at(directory.find(Path(source)), alone=True)
+        stored = directory.look_at(directory.find(Path(source)), alpha=exponent, alone=True)
         stack.callback(stored.close)
-        return stored, stored.about, lambda: len(stored)
+        return stored, stored.about, lambda: len(stored), len(stored)
     bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
     remote = RemoteReplay(bus, Keys(source))
 
@@ -196,7 +210,8 @@ def _source(
         info = remote.info()
         return info.end - info.begin
 
-    return remote, remote.info(), size
+    about = remote.info()
+    return remote, about, size, about.capacity
 
 
 @contextmanager
