@@ -26,14 +26,16 @@ from a2s.learner.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
+from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.fields import Spaces
+from a2s.protocol.replay_messages import MOST_SAMPLED, ReplaySample
 
 logger = logging.getLogger(__name__)
 
 COLUMNS = ("update", "wall_s", "env_steps", "weights_version", "epoch", "replay_rows", *SHOWN)
 _ROUND = 100
-_STATISTICS_ROWS = 4096
+_ANSWER_BYTES = MAX_BYTES[ReplaySample] - MIB  # the rest is for what is not rows
 _ASK_AGAIN_S = 1.0
 _PATIENCE_S = 10.0
 
@@ -82,6 +84,8 @@ class FromReplay:
         self._source, self._size, self._metrics = source, size, metrics
         torch.set_num_threads(self._run.threads)
         keep_freed_memory()
+        row_bytes = 8 * (spaces.obs_size + spaces.action_size + 3)
+        self._statistics_rows = min(MOST_SAMPLED, _ANSWER_BYTES // row_bytes)
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         seed = self._run.seed
         device = self._run.device
@@ -133,7 +137,7 @@ class FromReplay:
     def _learn(self, ahead: ThreadPoolExecutor, stopped: Callable[[], bool]) -> None:
         """Update round by round; the next batch is fetched while one is learned from."""
         if self._at.updates == 0:
-            drawn = self._source.sample(_STATISTICS_ROWS, self._rng)
+            drawn = self._source.sample(self._statistics_rows, self._rng)
             self._algorithm.observe(torch.from_numpy(drawn.obs))
         coming = ahead.submit(self._draw)
         while self._at.env_steps < self._run.total_steps and not stopped():

@@ -103,4 +103,4 @@ def _column(sample: ReplaySample, name: Column) -> Array:
     array: Array | None = getattr(sample, name)
     if array is None:
         raise MalformedMessageError(f"replay sample: {name}: found nothing, expected an array")
-    return array
+    return array.copy()  # what was decoded cannot be written to, and torch warns of that

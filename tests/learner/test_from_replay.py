@@ -1,5 +1,6 @@
 """A learner without actors keeps only what can be gone on with."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,13 @@ from a2s.learner import checkpoint
 from a2s.learner.configuration import assemble
 from a2s.learner.from_replay import FromReplay
 from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.fields import Spaces
+from a2s.protocol.in_process import Exchange, InProcessBus
+from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
 
 SPACES = Spaces(
@@ -22,32 +27,35 @@ SPACES = Spaces(
 SMALL = {"critic_sizes": "8", "policy_sizes": "8", "batch_rows": "8", "warm_up_steps": "8"}
 
 
-def replay(reward: float) -> Replay:
+def replay(reward: float, spaces: Spaces = SPACES) -> Replay:
     """Twenty steps with the same reward."""
-    made = Replay.in_memory("Test-v0", SPACES, 100)
+    made = Replay.in_memory("Test-v0", spaces, 100)
+    size = spaces.obs_size
     rng = np.random.default_rng(0)
     made.insert(
         Segment(
             actor="a", seq=0, generation=1, epoch=0, weights_version=1, env=0,
-            obs=rng.standard_normal((20, 3)).astype(np.float32),
+            obs=rng.standard_normal((20, size)).astype(np.float32),
             suggestion=rng.uniform(-1, 1, (20, 2)).astype(np.float32),
             log_prob=np.zeros(20, np.float32), reward=np.full(20, reward, np.float32),
-            final_obs=np.zeros(3, np.float32), terminated=True, truncated=False,
+            final_obs=np.zeros(size, np.float32), terminated=True, truncated=False,
             episode_return=0.0, episode_length=20,
         )
     )  # fmt: skip
     return made
 
 
-def learner(path: Path, source: Replay, **changed: str) -> FromReplay:
-    """Learn for 100 updates."""
+def learner(
+    path: Path, source: Replay | RemoteReplay, spaces: Spaces = SPACES, **changed: str
+) -> FromReplay:
+    """Learn for 100 updates, from twenty transitions."""
     options = {"variant": "off-policy", "preset": "sac", "total_steps": 100}
     return FromReplay(
         configuration=assemble(options, SMALL | changed),
-        spaces=SPACES,
+        spaces=spaces,
         source=source,
-        size=lambda: len(source),
-        most=len(source),
+        size=lambda: 20,
+        most=20,
         path=path,
         metrics=LearnerMetrics(),
         resume=False,
@@ -79,6 +87,15 @@ def test_the_end_is_kept(tmp_path: Path) -> None:
     summary = learner(tmp_path, replay(1.0)).run(lambda: False)
     assert (summary["updates"], summary["finished"]) == (100, True)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000100"]
+
+
+def test_observations_may_be_as_wide_as_a_batch_of_them_can_be_sent(tmp_path: Path) -> None:
+    """Four thousand of the size of a thousand, for their mean, are more than a message takes."""
+    wide = dataclasses.replace(SPACES, obs_size=1000)
+    exchange, keys = Exchange(), Keys("wide")
+    ServedReplay(InProcessBus(exchange), keys, replay(1.0, wide), 1, share=1.0).open()
+    remote = RemoteReplay(InProcessBus(exchange), keys)
+    assert learner(tmp_path, remote, wide).run(lambda: False)["updates"] == 100
 
 
 def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_update(
