@@ -35,6 +35,7 @@ logger = logging.getLogger(__name__)
 
 COLUMNS = ("update", "wall_s", "env_steps", "weights_version", "epoch", "replay_rows", *SHOWN)
 _ROUND = 100
+_BATCH, _RETURNS, _STATISTICS = 1, 2, 3
 _ANSWER_BYTES = MAX_BYTES[ReplaySample] - MIB  # the rest is for what is not rows
 _ASK_AGAIN_S = 1.0
 _PATIENCE_S = 10.0
@@ -91,7 +92,6 @@ class FromReplay:
         device = self._run.device
         self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
         self._learn_from = update_of(self._algorithm)
-        self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         self._at = Standing()
         self._kind = f"off-policy on {self._run.env} from a replay"
         self._directory = RunDirectory(path, COLUMNS, self._at.wall_s)
@@ -137,16 +137,17 @@ class FromReplay:
     def _learn(self, ahead: ThreadPoolExecutor, stopped: Callable[[], bool]) -> None:
         """Update round by round; the next batch is fetched while one is learned from."""
         if self._at.updates == 0:
-            drawn = self._source.sample(self._statistics_rows, self._rng)
+            drawn = self._source.sample(self._statistics_rows, self._generator(_STATISTICS, 0))
             self._algorithm.observe(torch.from_numpy(drawn.obs))
-        coming = ahead.submit(self._draw)
+        coming = ahead.submit(self._draw, self._at.updates)
         while self._at.env_steps < self._run.total_steps and not stopped():
             made = RoundMeans()
-            for number in range(_ROUND):
-                if wants_returns(self._hyper, self._at.updates + number):
-                    returns = ahead.submit(draw_returns, self._source, self._hyper, self._rng)
+            for update in range(self._at.updates, self._at.updates + _ROUND):
+                if wants_returns(self._hyper, update):
+                    rng = self._generator(_RETURNS, update)
+                    returns = ahead.submit(draw_returns, self._source, self._hyper, rng)
                     self._algorithm.observe_returns(returns.result())
-                batch, coming = coming.result(), ahead.submit(self._draw)
+                batch, coming = coming.result(), ahead.submit(self._draw, update + 1)
                 made.add(self._learn_from(batch))
             self._stand_at(self._at.updates + _ROUND)
             self._algorithm.observe(batch.obs)
@@ -157,9 +158,13 @@ class FromReplay:
             self._write(made.means())
         coming.exception()  # nobody needs this batch any more; whether it came does not matter
 
-    def _draw(self) -> Transitions:
-        batch, _ = draw(self._source, self._hyper, self._rng)
+    def _draw(self, update: int) -> Transitions:
+        batch, _ = draw(self._source, self._hyper, self._generator(_BATCH, update))
         return batch
+
+    def _generator(self, use: int, update: int) -> np.random.Generator:
+        """Make that of one draw, so that a batch drawn ahead of a checkpoint is drawn again."""
+        return np.random.default_rng([self._run.seed, use, update])
 
     def _stand_at(self, updates: int) -> None:
         """Count updates, and the environment steps that they are worth."""
@@ -195,7 +200,6 @@ class FromReplay:
             "updates": self._at.updates,
             "rows": self._at.rows,
             "wall_s": self._at.wall_s(),
-            "rng": self._rng.bit_generator.state,
         }
         folder = self._directory.path / "checkpoints"
         checkpoint.save(folder, self._at.updates, self._algorithm.state(), state, kind=self._kind)
@@ -205,7 +209,6 @@ class FromReplay:
         self._algorithm.load(tensors)
         self._stand_at(state["updates"])
         self._at.rows, self._at.worked_s = state["rows"], state["wall_s"]
-        self._rng.bit_generator.state = state["rng"]
         self._directory.keep_updates(self._at.rows)
 
     def _finish(self) -> dict[str, Any]:

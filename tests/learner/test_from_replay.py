@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from a2s.learner import checkpoint
 from a2s.learner.configuration import assemble
@@ -46,10 +47,16 @@ def replay(reward: float, spaces: Spaces = SPACES) -> Replay:
 
 
 def learner(
-    path: Path, source: Replay | RemoteReplay, spaces: Spaces = SPACES, **changed: str
+    path: Path,
+    source: Replay | RemoteReplay,
+    spaces: Spaces = SPACES,
+    *,
+    updates: int = 100,
+    resume: bool = False,
+    **changed: str,
 ) -> FromReplay:
-    """Learn for 100 updates, from twenty transitions."""
-    options = {"variant": "off-policy", "preset": "sac", "total_steps": 100}
+    """Learn for some updates, from twenty transitions."""
+    options = {"variant": "off-policy", "preset": "sac", "total_steps": updates}
     return FromReplay(
         configuration=assemble(options, SMALL | changed),
         spaces=spaces,
@@ -58,7 +65,7 @@ def learner(
         most=20,
         path=path,
         metrics=LearnerMetrics(),
-        resume=False,
+        resume=resume,
     )
 
 
@@ -108,3 +115,18 @@ def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_upd
     )
     assert float(tensors["return_size.samples"]) == 5
     assert float(tensors["return_size.mean_square"]) == pytest.approx(9.017, abs=0.02)
+
+
+def test_a_run_that_was_resumed_is_one_that_went_on(tmp_path: Path) -> None:
+    """To the bit, though a batch had been drawn ahead when it stopped."""
+    source, found = replay(1.0), []
+    for name, ends in (("on", (300,)), ("resumed", (100, 300))):
+        for updates in ends:
+            resume = updates > ends[0]
+            made = learner(
+                tmp_path / name, source, updates=updates, resume=resume, normalise_return="true"
+            )
+            made.run(lambda: False)
+        found.append(checkpoint.load(tmp_path / name / "checkpoints")[0])
+    on, resumed = found
+    assert all(torch.equal(on[name], resumed[name]) for name in on | resumed)
