@@ -75,6 +75,8 @@ class RemoteReplay:
             discount=_column(sample, "discount"),
             weight=_column(sample, "weight"),
             row=np.array(sample.row, np.int64),
+            begin=sample.begin,
+            end=sample.end,
         )
 
     def ask(self, request: ReplayRequest) -> ReplaySample:

@@ -227,6 +227,8 @@ class Replay:
             discount=discount,
             weight=weight,
             row=row,
+            begin=ring.begin,
+            end=ring.end,
         )
 
     def _add_up(

@@ -89,7 +89,6 @@ class ServedReplay:
                 self._free_s = end_s + self._rests * (end_s - begin_s)
 
     def _sample(self, request: ReplayRequest) -> bytes:
-        begin, end = self._replay.begin, self._replay.end
         batch = self._replay.sample(
             request.batch_size,
             np.random.default_rng(request.seed),
@@ -102,4 +101,4 @@ class ServedReplay:
             name: getattr(batch, name) if name in request.fields else None for name in COLUMNS[:-1]
         }
         row = tuple(batch.row.tolist()) if "row" in request.fields else ()
-        return encode(ReplaySample(begin=begin, end=end, row=row, **columns))
+        return encode(ReplaySample(begin=batch.begin, end=batch.end, row=row, **columns))

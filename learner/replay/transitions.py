@@ -26,6 +26,8 @@ class Transitions:
         weight: Importance weight, highest of the batch 1; all 1 when drawn uniformly,
             float32 ``[B]``.
         row: Number of the first step's row, counted from the first ever inserted, int64 ``[B]``.
+        begin: Number of the oldest row when it was drawn.
+        end: Number of the row that was to come next.
     """
 
     obs: Array
@@ -35,3 +37,5 @@ class Transitions:
     discount: Array
     weight: Array
     row: Rows
+    begin: int
+    end: int

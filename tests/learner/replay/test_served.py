@@ -209,6 +209,8 @@ def test_many_clients_sample_while_the_learner_inserts_and_samples(
             assert sample.obs is not None
             assert sample.next_obs is not None
             row = np.array(sample.row)
+            assert sample.begin <= row.min()
+            assert row.max() < sample.end <= sample.begin + 100
             expected = 100.0 * (row // 20) + row % 20
             assert np.array_equal(sample.obs[:, 0], expected.astype(np.float32))
             far = np.minimum(2, 20 - row % 20)
