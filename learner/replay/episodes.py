@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -58,20 +59,28 @@ class StoredEpisodes:
     def __iter__(self) -> Iterator[Episode]:
         """Yield whole episodes, by their ends."""
         self.left_out = 0
-        begun: dict[int, list[Record]] = {}
+        begun: dict[tuple[str, int], list[Record]] = {}
         for record in self._records:
-            known = begun.pop(record.previous, [])
-            starts = bool(record.flags & STARTS) and record.row >= self._ring.begin
-            records = [*known, record] if known or starts else []
+            stream = (record.actor, record.env)
+            known = begun.pop(stream, [])
+            if known and not _may_follow(known[-1], record):
+                self.left_out += 1
+                known = []
+            records = [*known, record]
             if not record.flags & (TERMINATED | TRUNCATED):
-                begun[record.end - 1] = records
+                begun[stream] = records
                 continue
-            episode = self._join(records)
+            episode = self._join(records) if self._is_whole(records) else None
             if episode is None:
                 self.left_out += 1
             else:
                 yield episode
         self.left_out += len(begun)
+
+    def _is_whole(self, records: list[Record]) -> bool:
+        first = records[0]
+        linked = all(b.previous == a.end - 1 for a, b in pairwise(records))
+        return bool(first.flags & STARTS) and first.row >= self._ring.begin and linked
 
     def _join(self, records: list[Record]) -> Episode | None:
         """Put the rows of an episode together, unless some were overwritten meanwhile."""
@@ -84,11 +93,15 @@ class StoredEpisodes:
             if piece.checksum() != record.rows_hash:
                 return None
             pieces.append(piece)
-        if not pieces:
-            return None
         return Episode(
             obs=np.concatenate([*(p.obs for p in pieces), pieces[-1].next_obs[-1:]]),
             action=np.concatenate([p.action for p in pieces]),
             reward=np.concatenate([p.outcome[:, 0] for p in pieces]),
             terminated=bool(records[-1].flags & TERMINATED),
         )
+
+
+def _may_follow(last: Record, record: Record) -> bool:
+    """Whether a record can be of the same episode as the one before of its stream."""
+    before = record.episode_length - record.steps
+    return record.previous == last.end - 1 or before > last.episode_length

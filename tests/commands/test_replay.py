@@ -62,10 +62,32 @@ def test_episodes_are_whole_or_left_out(stored: Path) -> None:
         ([9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0], False),
         ([16.0, 17.0, 18.0, 19.0], True),
     ]
-    assert episodes.left_out == 4
+    assert episodes.left_out == 3
     for episode in episodes:
         assert np.array_equal(episode.action, episode.obs[:-1] / 2)
         assert np.array_equal(episode.reward, episode.obs[:-1, 0] / 2)
+
+
+@pytest.mark.parametrize(
+    ("later", "left_out"),
+    [
+        ({"before": 3, "end": "truncated"}, 1),  # its third step was lost
+        ({"before": 2, "end": "truncated"}, 2),  # another: after two steps it was at 2, not at 7
+        ({"before": 1}, 2),  # another, not over either
+        ({"before": 0, "end": "terminated"}, 1),  # another, and whole
+    ],
+)
+def test_an_episode_with_a_segment_lost_is_counted_once(
+    tmp_path: Path, later: dict[str, Any], left_out: int
+) -> None:
+    """Unless what came later must be of another, of which the beginning was lost."""
+    replay = directory.create(tmp_path, ENV_ID, SPACES, 100)
+    replay.insert(make_segment([0.0, 1.0, 2.0], [1.0, 1.0], seq=0))
+    replay.insert(make_segment([7.0, 8.0], [1.0], seq=2, **later))
+    replay.close()
+    episodes = StoredEpisodes(tmp_path)
+    assert len(list(episodes)) == (later["before"] == 0)
+    assert episodes.left_out == left_out
 
 
 def test_rows_that_are_overwritten_while_we_read_are_left_out(stored: Path) -> None:
@@ -76,7 +98,7 @@ def test_rows_that_are_overwritten_while_we_read_are_left_out(stored: Path) -> N
         replay.insert(make_segment([0.0, 1.0, 2.0], [7.0, 7.0], actor="c", seq=seq))
     replay.close()
     assert list(episodes) == []
-    assert episodes.left_out == 7
+    assert episodes.left_out == 6
 
 
 def test_a_stored_replay_is_described_and_sampled(
@@ -196,7 +218,7 @@ def test_minari_opens_what_is_exported(
     arguments = ("export", stored, "a2s/count-v0", "--root", root)
     assert run(*arguments, "--json", monkeypatch=monkeypatch) == 0
     said = json.loads(capsys.readouterr().out)
-    assert (said["episodes"], said["steps"], said["left_out"]) == (3, 14, 4)
+    assert (said["episodes"], said["steps"], said["left_out"]) == (3, 14, 3)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     dataset = minari.load_dataset("a2s/count-v0")
     assert (dataset.total_episodes, dataset.total_steps) == (3, 14)
