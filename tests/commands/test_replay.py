@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
+import torch
 from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
 
 from a2s import cli
+from a2s.commands.minari_export import executed
+from a2s.learner.algorithm.off_policy import OffPolicy
+from a2s.learner.off_policy_export import export as write_graph
+from a2s.learner.off_policy_presets import off_policy
 from a2s.learner.replay import directory
 from a2s.learner.replay.episodes import StoredEpisodes
 from a2s.learner.replay.served import ServedReplay
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -203,6 +210,23 @@ def test_export_without_minari_says_what_to_install(
     )
     assert run("export", stored, "x-v0", monkeypatch=monkeypatch) == 2
     assert "pip install 'a2s[minari]'" in capsys.readouterr().err
+
+
+def test_actions_are_exported_as_the_graph_gave_them(rng: np.random.Generator) -> None:
+    """To the bit, also where the bounds are no powers of two."""
+    spaces = Spaces(
+        obs_size=3,
+        action_low=np.array([-0.4, -1.0, 0.5, -2.0], np.float32),
+        action_high=np.array([0.4, 3.0, 0.75, 1.0], np.float32),
+    )
+    sizes = {"policy_sizes": "8", "critic_sizes": "8"}
+    algorithm = OffPolicy(3, 4, off_policy("sac", sizes), 0, "cpu")
+    bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
+    graph = onnxruntime.InferenceSession(write_graph(algorithm.suggester(*bounds), 1, {}))
+    obs = rng.standard_normal((4000, 3)).astype(np.float32)
+    noise = rng.standard_normal((4000, 1, 4)).astype(np.float32)
+    action, suggestion = graph.run(["action", "suggestion"], {"obs": obs, "normal": noise})
+    assert np.array_equal(executed(suggestion, spaces), action)
 
 
 def test_minari_opens_what_is_exported(

@@ -15,6 +15,7 @@ import numpy as np
 from a2s import __version__
 from a2s.learner.replay.episodes import StoredEpisodes
 from a2s.protocol.errors import UsageError
+from a2s.protocol.fields import Array, Spaces
 
 _VARIABLE = "MINARI_DATASETS_PATH"
 
@@ -49,12 +50,11 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
     for index, episode in enumerate(episodes):
         steps = len(episode.reward)
         ends = np.arange(steps) == steps - 1
-        action = low + (np.clip(episode.action, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         buffers.append(
             EpisodeBuffer(
                 id=index,
                 observations=episode.obs,
-                actions=np.clip(action, low, high).astype(np.float32),
+                actions=executed(episode.action, spaces),
                 rewards=episode.reward.tolist(),
                 terminations=(ends & episode.terminated).tolist(),
                 truncations=(ends & (not episode.terminated)).tolist(),
@@ -86,6 +86,21 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
             "steps": int(dataset.total_steps),
             "left_out": episodes.left_out,
         }
+
+
+def executed(action: Array, spaces: Spaces) -> Array:
+    """Compute what the environment took, as the graph that actors run does, to the bit.
+
+    Args:
+        action: Canonical, not clipped, float32 ``[T, A]``.
+        spaces: Of the environment.
+
+    Returns:
+        In its units and within its bounds, float32 ``[T, A]``.
+    """
+    low, high, half = spaces.action_low, spaces.action_high, np.float32(0.5)
+    wide: Array = action * ((high - low) * half) + (high + low) * half
+    return np.clip(wide, low, high)
 
 
 def _spec(env_id: str) -> "gymnasium.envs.registration.EnvSpec | None":
