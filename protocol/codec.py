@@ -87,7 +87,8 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     try:
         body = _unpack(payload)
     except (ValueError, RecursionError) as error:
-        reason = str(error) or "nested too deeply"  # msgpack's StackError says nothing
+        is_deep = not isinstance(error, msgpack.FormatError)
+        reason = str(error) or ("nested too deeply" if is_deep else "a byte that begins no value")
         raise MalformedMessageError(f"{expected}: not msgpack ({reason})") from error
     if not isinstance(body, dict):
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
@@ -183,6 +184,10 @@ def _reader(hint: Any) -> Callable[[Any, str], Any]:
     if hint is float:
         return lambda value, where: float(
             _expect(type(value) in (float, int), value, where, "a number")
+        )
+    if hint is int:
+        return lambda value, where: _expect(
+            type(value) is int and value < 1 << 63, value, where, "an integer below 2^63"
         )
     return lambda value, where: _expect(type(value) is hint, value, where, hint.__name__)
 

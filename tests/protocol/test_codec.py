@@ -212,7 +212,7 @@ GOLDEN: list[tuple[Message, bytes]] = [
 names = st.builds(str.__add__, st.sampled_from("aZ0_"), st.text("abcXYZ019_.-", max_size=95))
 texts = st.text(st.characters(codec="utf-8"), max_size=20)
 counts = st.integers(0, 2**63 - 1)
-integers = st.integers(-(2**63), 2**64 - 1)
+integers = st.integers(-(2**63), 2**63 - 1)
 numbers = st.floats()  # NaN too: a mean of no episodes
 finite = st.floats(allow_nan=False, allow_infinity=False)
 sizes = st.integers(1, 4)
@@ -285,7 +285,7 @@ notices = st.builds(
     generation=integers,
     epoch=integers,
     version=integers,
-    quota_steps=st.integers(1, 2**63),
+    quota_steps=counts.filter(bool),
     quota_episodes=integers,
     num_bytes=integers,
     sha256=texts,
@@ -606,6 +606,14 @@ def test_a_wrong_type_is_refused_by_name(kind: type, field: str, value: Any) -> 
     assert field in refusal_of(altered(kind, **{field: value}), kind).lower()
 
 
+@pytest.mark.parametrize("field", ["seq", "generation", "episode_length"])
+def test_an_integer_that_no_file_has_room_for_is_refused(field: str) -> None:
+    """Files of a run have 64 bits with a sign."""
+    decode(altered(Segment, **{field: 2**63 - 1}), Segment)
+    reason = refusal_of(altered(Segment, **{field: 2**63}))
+    assert reason == f"Segment.{field}: found {2**63}, expected an integer below 2^63"
+
+
 def test_an_integer_is_a_number() -> None:
     """Msgpack libraries of other languages shorten 2.0 to 2."""
     ack = decode(altered(Ack, wait_s=2), Ack)
@@ -699,6 +707,19 @@ def test_a_huge_declared_length_is_refused_without_its_memory(header: bytes) -> 
     refusal_of(header)
     refusal_of(header * 100)
     refusal_of(b"\x81\xa3a2s" + header)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"\xc1", "a byte that begins no value"),
+        (b"\x91" * 2000, "nested too deeply"),
+        (b"", "Unpack failed: incomplete input"),
+    ],
+)
+def test_the_reason_says_why_bytes_are_not_msgpack(payload: bytes, reason: str) -> None:
+    """Some errors of msgpack have no text of their own."""
+    assert refusal_of(payload, Ack) == f"Ack: not msgpack ({reason})"
 
 
 def test_a_payload_of_nothing_but_tiny_maps_is_refused() -> None:
