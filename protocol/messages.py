@@ -137,7 +137,8 @@ class Segment:
         agree = self.log_prob.shape == self.reward.shape == (steps,)
         agree = agree and len(self.suggestion) == steps
         require(agree, f"{subject}: arrays disagree about T", lengths, "one length")
-        require(self.final_obs.shape == (obs_size,), subject, self.final_obs.shape, "final_obs [D]")
+        final = self.final_obs.shape
+        require(final == (obs_size,), f"{subject}: final_obs", final, f"({obs_size},) as in obs")
         require(not (self.terminated and self.truncated), subject, "both ends", "one of them")
         for name in ("seq", "generation", "epoch", "weights_version", "env"):
             require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
