@@ -122,10 +122,13 @@ def own_metadata(
 
 
 def fill(template: Any, numbers: Numbers, metadata: Mapping[str, str]) -> bytes:
-    """Put numbers and metadata into a template, and serialise it."""
+    """Put the numbers that are read, and metadata, into a template, and serialise it."""
     model = onnx.ModelProto()
     model.CopyFrom(template)
+    read = {name for node in template.graph.node for name in node.input}
     for name, array in numbers.items():
+        if name not in read:
+            continue
         model.graph.initializer.append(
             TensorProto(
                 name=name,

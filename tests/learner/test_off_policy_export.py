@@ -144,6 +144,14 @@ def test_graph_asks_for_the_noise_that_it_needs(mode: str, k: int) -> None:
     assert {item.name: item.shape for item in inputs} == expected
 
 
+@pytest.mark.parametrize("mode", ["uniform", "first", "hard", "soft"])
+def test_a_graph_holds_no_number_that_it_does_not_read(mode: str) -> None:
+    """Uniform actions need no observation, and a score without optimism not its weight."""
+    graph = onnx.load_from_string(export(make(mode, optimism=0.0), 0, {})).graph
+    read = {name for node in graph.node for name in node.input}
+    assert {number.name for number in graph.initializer} <= read
+
+
 def test_later_export_has_the_later_weights() -> None:
     """Only the nodes are remembered."""
     suggester = make("hard")
