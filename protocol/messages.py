@@ -12,10 +12,16 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from a2s.protocol.fields import Array, Spaces, is_name, require, require_finite
+import numpy as np
+
+from a2s.protocol.fields import Array, Spaces, is_name, require
 
 Clock = Literal["lockstep", "async"]
 Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
+
+# Finite numbers whose sums and squares are not finite end the learning as well.
+MOST_PLAYED = 1e10  # as in MuJoCo, which resets a simulation beyond it
+MOST_SUGGESTED = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +108,7 @@ class Segment:
         episode_length: Steps since the episode began, this segment included.
 
     Raises:
-        MalformedMessageError: The arrays disagree, or a number is not finite.
+        MalformedMessageError: The arrays disagree, or a number is too large, or none.
     """
 
     actor: str
@@ -122,7 +128,7 @@ class Segment:
     episode_length: int
 
     def __post_init__(self) -> None:
-        """Check the shapes against each other and every number for being finite."""
+        """Check the shapes against each other and the size of every number."""
         subject = f"segment {self.actor}/{self.seq}"
         require(is_name(self.actor), "segment: actor", repr(self.actor), "letters, digits, _ . -")
         require(self.obs.ndim == 2 and self.obs.size > 0, subject, self.obs.shape, "obs [T, D]")
@@ -143,15 +149,14 @@ class Segment:
         for name in ("seq", "generation", "epoch", "weights_version", "env"):
             require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
         require(self.episode_length >= steps, subject, self.episode_length, "episode_length >= T")
-        require(math.isfinite(self.episode_return), subject, self.episode_return, "finite return")
-        require_finite(
-            subject,
-            obs=self.obs,
-            suggestion=self.suggestion,
-            log_prob=self.log_prob,
-            reward=self.reward,
-            final_obs=self.final_obs,
-        )
+        for names, most in (
+            (("obs", "final_obs", "reward", "episode_return"), MOST_PLAYED),
+            (("suggestion", "log_prob"), MOST_SUGGESTED),
+        ):
+            for name in names:
+                largest = float(np.max(np.abs(getattr(self, name)), initial=0.0))
+                fits = largest <= most  # false for NaN
+                require(fits, f"{subject}: {name}", largest, f"at most {most:g} in size")
 
     @property
     def num_steps(self) -> int:

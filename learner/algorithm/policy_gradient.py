@@ -18,6 +18,8 @@ from a2s.learner.algorithm.optimiser import Adam
 from a2s.learner.algorithm.step_size import gaussian_kl
 
 HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
+# Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
+LEAST_WEIGHT, MOST_LOG_RATIO = 1e-30, 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,7 +84,7 @@ def importance(log_prob: Tensor, executed_log_prob: Tensor, limit: float) -> Ten
     if limit == 0:
         return torch.ones_like(log_prob)
     weight = (log_prob - executed_log_prob).exp().clamp(max=limit)
-    return weight / weight.mean()
+    return weight / weight.mean().clamp(min=LEAST_WEIGHT)
 
 
 def normalised(advantage: Tensor, weight: Tensor) -> Tensor:
@@ -130,7 +132,7 @@ def policy_loss(
     worth = weight * advantage
     if kind == "score":
         return -(worth * log_prob).mean(), worth / -worth.numel()
-    ratio = (log_prob - old_log_prob).exp()
+    ratio = (log_prob - old_log_prob).clamp(max=MOST_LOG_RATIO).exp()
     free = ratio * worth
     limited = ratio.clamp(1.0 - clip, 1.0 + clip) * worth
     slope = free * (free <= limited) / -free.numel()

@@ -13,7 +13,7 @@ import pytest
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.messages import Ack, Segment, Verdict
+from a2s.protocol.messages import MOST_PLAYED, MOST_SUGGESTED, Ack, Segment, Verdict
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
 DESCRIBED = (Spaces, *typing.get_args(Message))
@@ -78,6 +78,14 @@ def test_the_size_limits_are_those_of_the_code() -> None:
     assert {name: int(limit) for name, limit in table} == {
         kind.__name__: limit for kind, limit in MAX_BYTES.items()
     }
+
+
+def test_the_largest_numbers_are_those_of_the_code() -> None:
+    """An actor drops what is larger."""
+    found = re.findall(r" from -(\S+) to ([^,.\s]+)", section("Segment").split("|")[0])
+    assert [(float(low), float(high)) for low, high in found] == [
+        (MOST_PLAYED, MOST_PLAYED), (MOST_SUGGESTED, MOST_SUGGESTED),
+    ]  # fmt: skip
 
 
 def test_the_keys_are_those_of_the_code() -> None:
