@@ -59,7 +59,7 @@ class Welcome:
         env_id: Gymnasium id to make.
         spaces: Spaces that this environment must have.
         num_envs: Environments to step unless the actor was told otherwise.
-        clock: ``lockstep``: play the quota, then wait for the next version; ``async``: never wait.
+        clock: ``lockstep``: play the quota, then wait for the next version; ``async``: go on.
         slot: The actor's place in the run, unique among those present; -1 while it only asks.
         seed: Seed for this actor's environments and noise.
     """
