@@ -52,7 +52,7 @@ class RunConfig:
     seed: int = 0
     """Seed of everything."""
     clock: Clock = "lockstep"
-    """lockstep: one version, one batch; async: actors do not wait for it."""
+    """lockstep: one version, one batch; async: actors do not wait for weights."""
     n: int = 1
     """Actor processes to wait for before the first weights."""
     envs: int = 8
