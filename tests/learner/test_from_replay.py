@@ -84,9 +84,9 @@ def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
-    """A reward whose square is beyond float32."""
+    """Weights that decay by a hundred times their size change sign and grow a hundredfold."""
     with pytest.raises(A2SError, match="update 100: found non-finite weights"):
-        learner(tmp_path, replay(3e38)).run(lambda: False)
+        learner(tmp_path, replay(1.0), learning_rate="1000", weight_decay="0.1").run(lambda: False)
     assert not (tmp_path / "checkpoints").exists()
 
 
@@ -127,6 +127,7 @@ def test_a_run_that_was_resumed_is_one_that_went_on(tmp_path: Path) -> None:
                 tmp_path / name, source, updates=updates, resume=resume, normalise_return="true"
             )
             made.run(lambda: False)
-        found.append(checkpoint.load(tmp_path / name / "checkpoints")[0])
+        folder = tmp_path / name / "checkpoints"
+        found.append(checkpoint.load(folder, kind="off-policy on Hopper-v5 from a replay")[0])
     on, resumed = found
     assert all(torch.equal(on[name], resumed[name]) for name in on | resumed)

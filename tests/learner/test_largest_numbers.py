@@ -65,7 +65,7 @@ def play(learning: Learning, size: dict[str, float]) -> None:
 )
 def test_on_policy(preset: str, options: dict[str, Any], names: tuple[str, ...]) -> None:
     hyper = on_policy(preset, "a2s", options)
-    learning = OnPolicyLearning(SPACES, hyper, 0, LearnerMetrics())
+    learning = OnPolicyLearning(SPACES, hyper, 0, LearnerMetrics(), None)
     play(learning, {name: LARGEST[name] for name in names})
 
 
@@ -87,7 +87,7 @@ def test_off_policy(preset: str, options: dict[str, Any], tmp_path: Path) -> Non
     hyper = off_policy(preset, {**small, **options})
     ledger = Ledger(tmp_path / "segments.log")
     learning = OffPolicyLearning(
-        "Test-v0", SPACES, hyper, 7, tmp_path, ledger, LearnerMetrics(), "cpu"
+        "Test-v0", SPACES, hyper, 7, tmp_path, ledger, LearnerMetrics(), "cpu", None
     )
     play(learning, LARGEST)
     assert learning.updates > 20
