@@ -59,10 +59,10 @@ def learn(
     metrics = LearnerMetrics()
     metrics.run.info({"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)})
     with (
-        run_directory.claimed(path),
         stop_on_signals() as stop,
         closing(ZenohBus.listen(endpoint)) as bus,
         _served(metrics, metrics_host, metrics_port) as metrics_url,
+        run_directory.claimed(path),
     ):
         out = sys.stderr if as_json else sys.stdout
         out.write(_banner(configuration, path, endpoint, metrics_url))
@@ -127,7 +127,6 @@ def learn_from(
     _require_device(configuration.run.device)
     out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
     with ExitStack() as stack:
-        stack.enter_context(run_directory.claimed(path))
         hyper = configuration.hyper
         assert isinstance(hyper, OffPolicyHyper)
         replay, about, size, most = source_of(source, connect, stack, hyper.priority_exponent)
@@ -139,6 +138,7 @@ def learn_from(
         configuration = replace(configuration, run=run)
         stop = stack.enter_context(stop_on_signals())
         url = stack.enter_context(_served(metrics, metrics_host, metrics_port))
+        stack.enter_context(run_directory.claimed(path))
         learner = FromReplay(
             configuration=configuration,
             spaces=about.spaces,
