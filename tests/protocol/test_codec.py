@@ -721,6 +721,16 @@ def test_the_reason_says_why_bytes_are_not_msgpack(payload: bytes, reason: str) 
     assert refusal_of(payload, Ack) == f"Ack: not msgpack ({reason})"
 
 
+def test_of_a_key_that_comes_twice_the_last_counts() -> None:
+    """The first entry may be of any type; it is not looked at."""
+    body = altered(Ack, wait_s=2.0)
+    header, entries = bytes([body[0] + 1]), body[1:]  # one entry more
+    twice = msgpack.packb("wait_s") + msgpack.packb("soon")
+    assert decode(header + twice + entries, Ack).wait_s == 2.0
+    reason = refusal_of(header + entries + twice, Ack)
+    assert reason == "Ack.wait_s: found 'soon', expected a number"
+
+
 def test_a_payload_of_nothing_but_tiny_maps_is_refused() -> None:
     """Sixteen megabytes would become more than a gigabyte of Python objects."""
     count = MAX_BYTES[Segment] - 5
