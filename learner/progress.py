@@ -25,7 +25,7 @@ class Progress:
     """Where a run stands.
 
     Attributes:
-        env_steps: Environment steps accepted.
+        env_steps: Environment steps taken into batches, and all accepted before a restart.
         total_steps: Where the run ends.
         episodes: Finished episodes.
         return_mean: Of the last 100 episodes; ``None`` before the first.
