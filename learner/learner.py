@@ -81,7 +81,7 @@ class Learner:
         self._first_version = 0
         self._updates_before = 0
         self._record = EpisodeRecord()
-        self._graph = self._latest = b""
+        self._latest = b""
         self._bus = bus
         if state is not None:
             self._go_on(state)
@@ -234,11 +234,11 @@ class Learner:
         """Export the networks; while the run goes on, serve and announce them."""
         self._at.version += 1
         with self._metrics.update_seconds.labels(phase="publish").time():
-            self._graph = self._export(self._at.version)
+            graph = self._export(self._at.version)
             if self._at.env_steps < self._run.total_steps:
                 quota = self._learning.quota(self._gather.num_envs)
                 notice = self._publisher.prepare(
-                    self._graph,
+                    graph,
                     generation=self._at.generation,
                     epoch=self._at.epoch,
                     version=self._at.version,
@@ -248,7 +248,7 @@ class Learner:
                 self._publisher.announce()
         self._metrics.published.inc()
         self._metrics.weights_version.set(self._at.version)
-        self._metrics.weights_bytes.set(len(self._graph))
+        self._metrics.weights_bytes.set(len(graph))
         self._metrics.epoch.set(self._at.epoch)
 
     def _write(self, outcome: Outcome) -> None:

@@ -72,9 +72,8 @@ class OffPolicyLearning:
         self._metrics = metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
-        tensors, scalars = ({}, {}) if saved is None else saved
         if saved is not None:
-            self._algorithm.load(tensors)
+            self._algorithm.load(saved[0])
         self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         samples_per_step = hyper.updates_per_step * hyper.batch_rows
@@ -93,7 +92,7 @@ class OffPolicyLearning:
         self._limiter.count_insert(self._replay.end)
         self._learned_from = 0
         if saved is not None:
-            self._go_on(scalars)
+            self._go_on(saved[1])
         self._observe_replay()
         metrics.replay_torn.inc(self._replay.torn_records)
         self._show()
@@ -194,9 +193,7 @@ class OffPolicyLearning:
         self._updates, self._learned_from = scalars["updates"], scalars["learned_from"]
         self._limiter.load(scalars["limiter"], self._replay.end)
         self._replay.highest_priority = scalars["highest_priority"]
-        self._shown_waits = {
-            "insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits
-        }  # fmt: skip
+        self._shown_waits = self._waits()
         self._rng.bit_generator.state = scalars["rng"]
 
     def _observe_replay(self) -> None:
@@ -217,11 +214,14 @@ class OffPolicyLearning:
         self._updates += 1
         return stats
 
+    def _waits(self) -> dict[str, int]:
+        return {"insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits}
+
     def _show(self) -> None:
         metrics, limiter = self._metrics, self._limiter
         metrics.replay_rows.set(len(self._replay))
         metrics.limiter_error.set(limiter.error)
-        waits = {"insert": limiter.insert_waits, "sample": limiter.sample_waits}
+        waits = self._waits()
         for side, count in waits.items():
             metrics.limiter_waits.labels(side=side).inc(count - self._shown_waits.get(side, 0))
         self._shown_waits = waits

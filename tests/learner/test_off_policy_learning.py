@@ -225,15 +225,20 @@ def test_a_resumed_one_goes_on_to_the_bit(
     assert all(np.array_equal(one[0][name], two[0][name]) for name in one[0])
 
 
+def _saved_after(learned: int, run: OffPolicyLearning, place: Path) -> Saved:
+    """The state after so many segments, when twelve have been acknowledged."""
+    play(run, 0, learned, place)
+    saved = run.state()
+    for seq in range(learned, 12):
+        run.keep(segment(seq, place=place))
+    return saved
+
+
 def test_what_came_after_the_checkpoint_is_still_there_and_due(
     learning: Learn, tmp_path: Path
 ) -> None:
-    place = tmp_path / "run"
     run = learning()
-    play(run, 0, 8, place)
-    saved = run.state()
-    for seq in range(8, 12):
-        run.keep(segment(seq, place=place))
+    saved = _saved_after(8, run, tmp_path / "run")
     run.keep(segment(12))  # never written into the ledger, so never acknowledged
     run.close()
     again = learning(saved=saved)
@@ -247,12 +252,8 @@ def test_observations_that_came_after_the_checkpoint_are_taken_into_account(
     learning: Learn, tmp_path: Path
 ) -> None:
     """Each once: those of the batches before it are in the state."""
-    place = tmp_path / "run"
     run = learning()
-    play(run, 0, 3, place)
-    saved = run.state()
-    for seq in range(3, 12):
-        run.keep(segment(seq, place=place))
+    saved = _saved_after(3, run, tmp_path / "run")
     run.close()
     again = learning(saved=saved)
     tensors, scalars = again.state()
