@@ -127,9 +127,10 @@ class OffPolicyLearning:
         self._limiter.count_insert(segment.num_steps)
 
     def hold_s(self, pending_batches: float) -> float:
-        """Time that learning needs to be back within its band, at the pace of its last update.
+        """Time that learning needs to be back within its band, at the pace of the round's fastest
+        update.
 
-        Not that of a round: the first compiles for seconds. Never longer than a round, for the
+        Not of its mean: the first one ever compiles for seconds. Never longer than a round, for the
         next one begins only when more was played.
         """
         del pending_batches  # they are in the replay, whatever is played next
@@ -147,15 +148,16 @@ class OffPolicyLearning:
         obs = np.concatenate([segment.obs for segment in segments])
         self._algorithm.observe(torch.from_numpy(obs))
         self._learned_from += len(obs)
-        made = RoundMeans()
+        made, update_s = RoundMeans(), math.inf
         while made.count < self._round and self._limiter.may_sample(self._learned_from):
             begin_s = time.monotonic()
             made.add(self._update())
-            self._update_s = time.monotonic() - begin_s
+            update_s = min(update_s, time.monotonic() - begin_s)
         if not self._algorithm.is_finite():
             raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
         means: dict[str, float] = {}
         if made.count:
+            self._update_s = update_s
             means = made.means()
             self._metrics.show_off_policy(means, made.count)
         self._show()
