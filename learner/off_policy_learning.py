@@ -127,11 +127,10 @@ class OffPolicyLearning:
         self._limiter.count_insert(segment.num_steps)
 
     def hold_s(self, pending_batches: float) -> float:
-        """Time that learning needs to be back within its band, at the pace of the round's fastest
-        update.
+        """Time that learning needs to be back within its band, at the best pace of its last round.
 
-        Not of its mean: the first one ever compiles for seconds. Never longer than a round, for the
-        next one begins only when more was played.
+        Not at the mean one: the first update ever compiles for seconds. Never longer than a round,
+        for the next one begins only when more was played.
         """
         del pending_batches  # they are in the replay, whatever is played next
         if self._limiter.may_insert():
