@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from a2s.learner import checkpoint
 from a2s.learner.algorithm.off_policy import OffPolicy
@@ -94,9 +95,12 @@ class FromReplay:
         self._learn_from = update_of(self._algorithm)
         self._at = Standing()
         self._kind = f"off-policy on {self._run.env} from a replay"
+        saved = checkpoint.load(path / "checkpoints", kind=self._kind) if resume else None
         self._directory = RunDirectory(path, COLUMNS, self._at.wall_s)
-        if resume:
-            self._resume()
+        if saved is not None:
+            self._go_on(*saved)
+        else:
+            self._save()
         self._at.generation = self._directory.count_start()
         self._at.steps_at_start = self._at.env_steps
 
@@ -196,6 +200,9 @@ class FromReplay:
 
     def _checkpoint(self) -> None:
         self._directory.policy("latest", self._graph())
+        self._save()
+
+    def _save(self) -> None:
         state = {
             "updates": self._at.updates,
             "rows": self._at.rows,
@@ -204,8 +211,7 @@ class FromReplay:
         folder = self._directory.path / "checkpoints"
         checkpoint.save(folder, self._at.updates, self._algorithm.state(), state, kind=self._kind)
 
-    def _resume(self) -> None:
-        tensors, state = checkpoint.load(self._directory.path / "checkpoints", kind=self._kind)
+    def _go_on(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
         self._algorithm.load(tensors)
         self._stand_at(state["updates"])
         self._at.rows, self._at.worked_s = state["rows"], state["wall_s"]

@@ -14,7 +14,7 @@ from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
-from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
@@ -84,16 +84,27 @@ def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
-    """Weights that decay by a hundred times their size change sign and grow a hundredfold."""
+    """Weights that decay by a hundred times their size change sign and grow a hundredfold.
+
+    The run can be resumed from what it began with, as after a kill before its first round.
+    """
     with pytest.raises(A2SError, match="update 100: found non-finite weights"):
         learner(tmp_path, replay(1.0), learning_rate="1000", weight_decay="0.1").run(lambda: False)
-    assert not (tmp_path / "checkpoints").exists()
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000000"]
+    assert learner(tmp_path, replay(1.0), resume=True).run(lambda: False)["updates"] == 100
 
 
 def test_the_end_is_kept(tmp_path: Path) -> None:
     summary = learner(tmp_path, replay(1.0)).run(lambda: False)
     assert (summary["updates"], summary["finished"]) == (100, True)
-    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000100"]
+    assert {p.name for p in (tmp_path / "checkpoints").iterdir()} == {"00000000", "00000100"}
+
+
+def test_what_was_not_begun_cannot_be_resumed(tmp_path: Path) -> None:
+    """And nothing is made in its place."""
+    with pytest.raises(RunDirectoryError, match="found no checkpoint"):
+        learner(tmp_path / "none", replay(1.0), resume=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_observations_may_be_as_wide_as_a_batch_of_them_can_be_sent(tmp_path: Path) -> None:
