@@ -69,12 +69,12 @@ class Linear:
 
     def multiply(self, weights: Weights, x: Tensor, weight: Tensor) -> Tensor:
         """Multiply by W or some of its rows, and add b if that is to be done here."""
-        if _is_column(weight):
-            out = (x * weight.mT).sum(-1, keepdim=True)
-            return out + weights.product[self.bias] if self.adds_bias else out
         if not self.adds_bias:
             return torch.bmm(x, weight)
-        return torch.baddbmm(weights.product[self.bias], x, weight)
+        bias = weights.product[self.bias]
+        if _is_column(weight):
+            return (x * weight.mT).sum(-1, keepdim=True) + bias
+        return torch.baddbmm(bias, x, weight)
 
     def backward(
         self, weights: Weights, grads: Weights | None, seen: Tensor, grad: Tensor
@@ -89,12 +89,13 @@ class Linear:
     def collect(self, grads: Weights, seen: Tensor, grad: Tensor) -> None:
         """Overwrite the gradients of W and b; ``grad`` is in the precision of the product."""
         by_weight = grads.full[self.weight]
-        if _is_column(by_weight) and grad.dtype == by_weight.dtype:
-            torch.sum(seen * grad, dim=1, out=by_weight.squeeze(2))
-        elif grad.dtype == by_weight.dtype:
-            torch.bmm(seen.mT, grad, out=by_weight)
-        else:  # to let the kernel write float32 costs a copy of what it reads
+        if grad.dtype != by_weight.dtype:
+            # To let the kernel write float32 costs a copy of what it reads.
             by_weight.copy_(torch.bmm(seen.mT, grad))
+        elif _is_column(by_weight):
+            torch.sum(seen * grad, dim=1, out=by_weight.squeeze(2))
+        else:
+            torch.bmm(seen.mT, grad, out=by_weight)
         if self.adds_bias:
             grads.full[self.bias].copy_(grad.sum(1, keepdim=True))
 
