@@ -99,6 +99,7 @@ class Learner:
             num_envs=self._run.envs,
             clock=self._run.clock,
             max_policy_lag=self._learning.max_policy_lag,
+            most_suggested=self._learning.most_suggested,
             seed=self._run.seed,
             num_actors=self._run.n,
         )

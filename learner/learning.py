@@ -55,11 +55,13 @@ class Learning(Protocol):
     Attributes:
         columns: Of ``updates.csv``, its own ones.
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+        most_suggested: Size of the numbers of a suggestion.
         plays_on: In lockstep, actors play the next batch while this one is learned from.
     """
 
     columns: tuple[str, ...]
     max_policy_lag: int | None
+    most_suggested: float
     plays_on: bool
 
     @property

@@ -54,6 +54,7 @@ class OffPolicyLearning:
 
     columns = COLUMNS
     max_policy_lag: int | None = None
+    most_suggested = 1.001  # 1, and what rounding may add
     plays_on = False
 
     def __init__(

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Clock, Hello, Notice, Segment
 
@@ -20,6 +22,7 @@ class Terms:
         num_envs: Environments of an actor that was not told otherwise.
         clock: ``lockstep`` or ``async``.
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+        most_suggested: Size of the numbers of a suggestion.
         seed: Of the run.
         num_actors: Actors that the first batch waits for.
     """
@@ -31,6 +34,7 @@ class Terms:
     num_envs: int
     clock: Clock
     max_policy_lag: int | None
+    most_suggested: float
     seed: int
     num_actors: int
 
@@ -50,6 +54,9 @@ class Terms:
             return f"found obs_size and action_size {found}, expected {expected}"
         if segment.env >= num_envs:
             return f"found env {segment.env}, expected less than {num_envs}"
+        largest = float(np.abs(segment.suggestion).max())
+        if largest > self.most_suggested:
+            return f"found suggestion {largest:g}, expected at most {self.most_suggested:g} in size"
         return ""
 
     def too_old(self, segment: Segment, notice: Notice, pending_batches: float) -> str:

@@ -129,6 +129,18 @@ def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:
     assert again == file.read_text()
 
 
+@pytest.mark.parametrize("other", [("--variant", "on-policy"), ("--preset", "sac")], ids=" ".join)
+def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
+    other: tuple[str, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "printed.toml"
+    file.write_text(_print_config("--variant", "off-policy", "--set", "tau=0.5"))
+    assert "\ntau = 0.5  # set by you" in _print_config("--config", str(file))
+    said = _print_config("--config", str(file), *other)
+    assert f'\n{other[0].lstrip("-")} = "{other[1]}"' in said
+    assert "set by you" not in said
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

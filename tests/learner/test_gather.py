@@ -32,7 +32,8 @@ class _Run:
     def __init__(self, path: Path, **terms: object) -> None:
         values: dict[str, object] = {
             "run": "test", "generation": 2, "env_id": "Test-v0", "spaces": SPACES, "num_envs": 2,
-            "clock": "lockstep", "max_policy_lag": 1, "seed": 0, "num_actors": 1,
+            "clock": "lockstep", "max_policy_lag": 1, "most_suggested": 1.001,
+            "seed": 0, "num_actors": 1,
         }  # fmt: skip
         self.events: list[tuple[str, dict[str, object]]] = []
         self.metrics = LearnerMetrics()
@@ -103,6 +104,11 @@ def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: object) -
             {"suggestion": np.ones((4, 3), dtype=np.float32)},
             "refused",
             "found obs_size and action_size (2, 3), expected (2, 1)",
+        ),
+        (
+            {"suggestion": np.array([[1], [0], [-1.01], [0]], dtype=np.float32)},
+            "refused",
+            "found suggestion 1.01, expected at most 1.001 in size",
         ),
     ],
 )

@@ -89,5 +89,5 @@ def test_off_policy(preset: str, options: dict[str, Any], tmp_path: Path) -> Non
     learning = OffPolicyLearning(
         "Test-v0", SPACES, hyper, 7, tmp_path, ledger, LearnerMetrics(), "cpu", None
     )
-    play(learning, LARGEST)
+    play(learning, LARGEST | {"suggestion": learning.most_suggested})
     assert learning.updates > 20

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from a2s.learner.off_policy_learning import OffPolicyLearning
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
@@ -82,10 +83,10 @@ def test_the_size_limits_are_those_of_the_code() -> None:
 
 def test_the_largest_numbers_are_those_of_the_code() -> None:
     """An actor drops what is larger."""
-    found = re.findall(r" from -(\S+) to ([^,.\s]+)", section("Segment").split("|")[0])
+    found = re.findall(r" from -(\S+) to (\S+\d)", section("Segment").split("|")[0])
     assert [(float(low), float(high)) for low, high in found] == [
-        (MOST_PLAYED, MOST_PLAYED), (MOST_SUGGESTED, MOST_SUGGESTED),
-    ]  # fmt: skip
+        (most, most) for most in (MOST_PLAYED, MOST_SUGGESTED, OffPolicyLearning.most_suggested)
+    ]
 
 
 def test_the_keys_are_those_of_the_code() -> None:

@@ -49,11 +49,13 @@ def configure(
     if "recovery" in given:
         preset = given.get("preset", run_table.get("preset", "modern"))
         hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))
-    if "preset" in given or "algo" in given:
-        # A complete file states every value; another preset or algorithm means its own values.
-        same = all(run_table.get(name, given[name]) == given[name]
-                   for name in ("preset", "algo") if name in given)  # fmt: skip
-        hyper_table = hyper_table if same else {}
+    # A complete file states every value; another preset or algorithm means its own values.
+    if any(
+        run_table.get(name, given[name]) != given[name]
+        for name in ("preset", "algo", "variant")
+        if name in given
+    ):
+        hyper_table = {}
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
     if not resume:
         path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)
