@@ -27,6 +27,7 @@ _PARTS = {
     "mlp": _off(network="mlp"),
     "one-value": _off(quantiles=1, dropped_quantiles=0),
     "act-hard": _off(selection="hard"),
+    "fades": _off(selection_fades=True),
     "optimism": _off(optimism=0.5),
     "distil": _off(distil_weight=0.1),
     "n-step-3": _off(n_step=3),

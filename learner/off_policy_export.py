@@ -91,6 +91,7 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         numbers |= {f"{name}.obs": first[:split], f"{name}.action": first[split:]}
     if suggester.mode == "soft":
         numbers["temperature"] = as_array(suggester.temperature)
+        numbers["choosy"] = constant(suggester.choosy)
         numbers["log_k"] = constant([math.log(suggester.suggestions)])
     numbers["return_size"] = as_array(suggester.return_size)
     return numbers | {"optimism": constant(suggester.optimism)}
@@ -194,6 +195,7 @@ class _Suggester:
         square = self.add("ReduceSumSquare", "gumbel", "axis_1", keepdims=1)
         correction = self.add("Mul", density, self.add("Sign", square))
         logit = self.add("Sub", self.add("Div", score, "temperature"), correction)
+        logit = self.add("Mul", logit, "choosy")
         whole = self.add("ReduceLogSumExp", logit, "axis_1", keepdims=1)
         preference = self.add("Add", self.add("Sub", logit, whole), "log_k")
         return self.add("Add", logit, "gumbel"), self.add("Add", density, preference)

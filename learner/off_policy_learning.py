@@ -119,7 +119,9 @@ class OffPolicyLearning:
     ) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
         warms_up = self._updates == 0
-        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=to_keep)
+        suggester = self._algorithm.suggester(
+            *self._bounds, progress=progress, warms_up=warms_up, averaged=to_keep
+        )
         return export(suggester, version, metadata)
 
     def keep(self, segment: Segment) -> None:

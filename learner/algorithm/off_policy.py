@@ -32,6 +32,7 @@ from a2s.learner.algorithm.squashed import (
     gaussian,
     log_density,
 )
+from a2s.learner.algorithm.suggestion import choosiness
 from a2s.learner.algorithm.transitions import Transitions
 
 
@@ -118,6 +119,7 @@ class OffPolicy:
         action_low: Tensor,
         action_high: Tensor,
         *,
+        progress: float = 0.0,
         warms_up: bool = False,
         averaged: bool = False,
     ) -> OffPolicySuggester:
@@ -126,6 +128,7 @@ class OffPolicy:
         Args:
             action_low: Of the environment, float32 ``[A]``.
             action_high: Of the environment, float32 ``[A]``.
+            progress: Fraction of the run that is done, 0..1; only ``selection_fades`` reads it.
             warms_up: Act at random: nothing is learned yet.
             averaged: By the average of the policy over time, to be kept and used.
         """
@@ -142,6 +145,7 @@ class OffPolicy:
             suggestions=self.hyper.act_suggestions if picks else 1,
             optimism=self.hyper.optimism,
             temperature=self.learned.log_temperature.exp() * return_size,
+            choosy=choosiness(progress, fades=self.hyper.selection_fades),
             return_size=return_size,
         )
 

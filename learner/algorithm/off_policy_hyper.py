@@ -63,6 +63,8 @@ class OffPolicyHyper:
     """K_act, actions among which Q picks what is executed, at least 1."""
     selection: Selection
     """``hard``: the largest score; ``soft``: drawn, as if from the Boltzmann distribution of Q."""
+    selection_fades: bool
+    """``soft`` chances even out as the run goes on: their power is 1 - progress."""
     optimism: float
     """Beta: what is executed has the largest mean of the critics plus this times their spread."""
     target_suggestions: int

@@ -43,6 +43,7 @@ class OffPolicySuggester:
         optimism: Beta: a score is the mean of the critics plus this times their standard
             deviation (over the critics that there are: half the difference of two).
         temperature: Of ``soft``, in returns, ``[]``.
+        choosy: Power of the chances of ``soft``, above 0: 1 is as said, 0 is no choice at all.
         return_size: What the critics are in units of, ``[]``.
     """
 
@@ -58,6 +59,7 @@ class OffPolicySuggester:
         suggestions: int,
         optimism: float,
         temperature: Tensor,
+        choosy: float,
         return_size: Tensor,
     ) -> None:
         if mode in ("uniform", "first") and suggestions != 1:
@@ -71,6 +73,7 @@ class OffPolicySuggester:
         self.suggestions = suggestions
         self.optimism = optimism
         self.temperature = temperature
+        self.choosy = choosy
         self.return_size = return_size
 
     @torch.no_grad()
@@ -101,7 +104,7 @@ class OffPolicySuggester:
             if gumbel is None:
                 gumbel = torch.zeros_like(score)
             is_drawn = gumbel.square().sum(1, keepdim=True).sign()
-            score = score / self.temperature - is_drawn * log_prob
+            score = self.choosy * (score / self.temperature - is_drawn * log_prob)
             log_prob = log_prob + score.log_softmax(1) + math.log(self.suggestions)
             score = score + gumbel
         u, chosen = pick_best(score, u, log_prob.unsqueeze(2))

@@ -20,10 +20,10 @@ from a2s.learner.algorithm.policy_update import PolicyUpdate, policy_now, update
 from a2s.learner.algorithm.recovery import Recovery, RecoveryDecision
 from a2s.learner.algorithm.step_size import StepSize
 from a2s.learner.algorithm.suggester import Suggester
+from a2s.learner.algorithm.suggestion import choosiness
 from a2s.learner.algorithm.update_stats import UpdateStats
 from a2s.protocol.errors import A2SError
 
-LEAST_CHOOSY = 1e-3
 _GENERATORS = ("networks", "order", "q", "recovery")
 _BEST = "best."
 
@@ -86,7 +86,7 @@ class OnPolicy:
             progress: Fraction of the run that is done, 0..1; only ``selection_fades`` reads it.
         """
         hyper, learned = self.hyper, self.learned
-        choosy = 1.0 - progress if hyper.selection_fades else 1.0
+        choosy = choosiness(progress, fades=hyper.selection_fades)
         picks = self._q_trusted and hyper.suggestions > 1
         return Suggester(
             normaliser=learned.normaliser,
@@ -96,7 +96,7 @@ class OnPolicy:
             action_high=action_high,
             mode=hyper.selection if picks else "first",
             suggestions=hyper.suggestions if picks else 1,
-            temperature=hyper.temperature / max(choosy, LEAST_CHOOSY),
+            temperature=hyper.temperature / choosy,
             action_mode=hyper.action_mode,
             q_scale=learned.returns.std,
         )

@@ -12,6 +12,7 @@ from a2s.learner.algorithm.hyperparameters import ActionMode
 from a2s.protocol.errors import A2SError
 
 SPREAD_EPS = 1e-6
+_LEAST_CHOOSY = 1e-3
 
 
 def suggest(mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
@@ -87,6 +88,16 @@ def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor
     """
     chance = _in_spreads(q_value, temperature).log_softmax(1)
     return chance.gather(1, index.unsqueeze(1)).squeeze(1) + math.log(q_value.shape[1])
+
+
+def choosiness(progress: float, *, fades: bool) -> float:
+    """How much soft selection counts: 1, or what is left of the run, but never quite nothing.
+
+    Args:
+        progress: Fraction of the run that is done, 0..1.
+        fades: Whether it fades.
+    """
+    return max(1.0 - progress, _LEAST_CHOOSY) if fades else 1.0
 
 
 def select_first(normal: Tensor) -> Tensor:

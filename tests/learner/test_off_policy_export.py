@@ -34,7 +34,7 @@ def make(mode: str, **options: Any) -> OffPolicySuggester:
         ensemble.refresh()
     algorithm.observe(2.0 * torch.randn(100, 4, generator=generator) + 1.0)
     algorithm.observe_returns(torch.tensor([3.0, -4.0]))
-    suggester = algorithm.suggester(LOW, HIGH, warms_up=mode == "uniform")
+    suggester = algorithm.suggester(LOW, HIGH, progress=0.4, warms_up=mode == "uniform")
     assert suggester.mode == mode
     return suggester
 
@@ -85,6 +85,7 @@ def test_graph_agrees_for_every_form_of_network(
     [
         {"normalise_obs": False},
         {"normalise_return": False},
+        {"selection_fades": True},
         {"optimism": 0.0},
         {"optimism": -2.0, "critics": 4},
         {"quantiles": 7, "dropped_quantiles": 1},

@@ -13,14 +13,14 @@ from a2s.learner.off_policy_presets import off_policy
 LOW, HIGH = torch.tensor([-0.4, 1.0]), torch.tensor([0.4, 5.0])
 
 
-def make(*, warms_up: bool = False, **options: Any) -> OffPolicySuggester:
+def make(*, warms_up: bool = False, progress: float = 0.0, **options: Any) -> OffPolicySuggester:
     """Build a suggester with asymmetric bounds and critics that disagree."""
     small = {"critic_sizes": "16,8", "policy_sizes": "8,8", "act_suggestions": 6}
     hyper = off_policy("modern", {**small, "precision": "f32", **options})
     algorithm = OffPolicy(3, 2, hyper, 0)
     algorithm.learned.critics.value.mul_(3.0)
     algorithm.observe(2.0 * torch.randn(50, 3, generator=torch.Generator().manual_seed(1)))
-    return algorithm.suggester(LOW, HIGH, warms_up=warms_up)
+    return algorithm.suggester(LOW, HIGH, progress=progress, warms_up=warms_up)
 
 
 def noise(rows: int, k: int = 6) -> torch.Tensor:
@@ -113,6 +113,28 @@ def test_soft_log_prob_tells_the_chance_of_the_draw() -> None:
             assert float(chance[0]) == pytest.approx(float(mine.float().mean()), abs=0.01)
 
 
+def test_selection_fades_to_indifference() -> None:
+    """ln(K p), less its mean, shrinks with what is left of the run."""
+    obs, normal = torch.randn(1, 3), noise(1)
+    gumbel = 1e3 * torch.eye(6)  # so that each is drawn once, whatever its score
+    options: dict[str, Any] = {"selection": "soft", "initial_temperature": 0.5}
+    told, spread = {}, {}
+    for progress in (0.0, 0.5, 1.0):
+        suggester = make(selection_fades=True, progress=progress, **options)
+        told[progress] = suggester(obs.expand(6, -1), normal.expand(6, -1, -1), gumbel)
+    one = make(act_suggestions=1)
+    plain = torch.stack([one(obs, normal[:, i : i + 1]).log_prob[0] for i in range(6)])
+    for progress, choice in told.items():
+        preference = choice.log_prob - plain
+        spread[progress] = preference - preference.mean()
+    assert float(spread[0.0].abs().max()) > 0.1
+    torch.testing.assert_close(spread[0.5], spread[0.0] / 2, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(spread[1.0], spread[0.0] / 1000, atol=1e-4, rtol=1e-4)
+    stays = make(selection_fades=False, progress=1.0, **options)
+    again = stays(obs.expand(6, -1), normal.expand(6, -1, -1), gumbel)
+    assert torch.equal(again.log_prob, told[0.0].log_prob)
+
+
 @pytest.mark.parametrize("k", [1, 6])
 def test_log_prob_is_that_of_the_action_under_the_policy(k: int) -> None:
     """By the change of variables, in double precision, where tanh loses little of u."""
@@ -177,5 +199,6 @@ def test_several_suggestions_need_critics() -> None:
             suggestions=3,
             optimism=0.0,
             temperature=torch.tensor(0.1),
+            choosy=1.0,
             return_size=torch.tensor(1.0),
         )
