@@ -27,7 +27,7 @@ _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 _MODERN: dict[str, Choice] = {
     "act_suggestions": Choice(10, _PAPER),
     "selection": Choice("soft", "hard ones explore too little; docs/adr/0011"),
-    "selection_fades": Choice(False, "better in two probes; benchmarks/off_policy/probes.md"),
+    "selection_fades": Choice(False, "too few probes to tell; benchmarks/off_policy/probes.md"),
     "optimism": Choice(0.0, "no gain in probes; docs/adr/0008"),
     "target_suggestions": Choice(1, "4 cost a quarter and gained nothing; docs/adr/0008"),
     "target_groups": Choice(1, "a batch is a mean already"),
