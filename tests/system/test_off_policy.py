@@ -70,7 +70,7 @@ def test_a_resume_that_cannot_go_on_changes_nothing(
     before = [(path, path.stat().st_size, path.read_bytes()) for path in watched]
     for options, words in (
         (("--env", "InvertedPendulum-v5"), "found off-policy on a2s_test_envs:Reach-v0, expected"),
-        (("--variant", "on-policy"), "act_suggestions"),
+        (("--variant", "on-policy"), "expected on-policy on a2s_test_envs:Reach-v0"),
         (("--set", "critic_sizes=32,32", "--set", "replay_rows=100"), "critics"),
     ):
         there = ("--run-dir", str(run), "--listen", endpoint, "--metrics-port", "-1")
