@@ -115,7 +115,7 @@ def test_soft_log_prob_tells_the_chance_of_the_draw() -> None:
 
 def test_selection_fades_to_indifference() -> None:
     """ln(K p), less its mean, shrinks with what is left of the run."""
-    obs, normal = torch.randn(1, 3), noise(1)
+    obs, normal = torch.full((1, 3), 0.3), noise(1)
     gumbel = 1e3 * torch.eye(6)  # so that each is drawn once, whatever its score
     options: dict[str, Any] = {"selection": "soft", "initial_temperature": 0.5}
     told, spread = {}, {}
