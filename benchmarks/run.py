@@ -16,7 +16,8 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from suites import REFERENCE, SUITES
+from curves import curves
+from suites import REFERENCE, SUITES, name_of
 from table import tables
 
 HERE = Path(__file__).parent
@@ -30,7 +31,7 @@ COLUMNS = (
 
 def place(suite: str, env: str, label: str, seed: int, out: Path) -> Path:
     """Directory of a run."""
-    return out / f"{env}-{label}-{SUITES[suite].steps}-{seed}"
+    return out / name_of(suite, env, label, seed)
 
 
 def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str, object]:
@@ -150,13 +151,16 @@ def main() -> None:
     parser.add_argument("--envs", nargs="*", help="only these environments")
     parser.add_argument("--labels", nargs="*", help="only these labels")
     parser.add_argument("--seeds", nargs="*", type=int, help="only these seeds")
+    parser.add_argument("--draw", action="store_true", help="run nothing, only table and curves")
     arguments = parser.parse_args()
     suite = SUITES[arguments.suite]
+    labels = arguments.labels or suite.labels
     jobs = [
         (arguments.suite, env, label, seed, arguments.out)
         for seed in arguments.seeds or suite.seeds
         for env in arguments.envs or suite.envs
-        for label in arguments.labels or suite.labels
+        for label in labels
+        if not arguments.draw
     ]
     folder = HERE / suite.folder
     table = folder / "results.csv"
@@ -166,8 +170,7 @@ def main() -> None:
             sys.stdout.write(f"{row['env']} {row['label']} {row['seed']}: {row['mean']}\n")
             sys.stdout.flush()
     (folder / f"{arguments.suite}.md").write_text(tables(table, arguments.suite, suite.labels))
-    runs = [str(place(*job)) for job in jobs if job[2] != REFERENCE]
-    _a2s("plot", *runs, "--output", str(folder / f"{arguments.suite}.png"))
+    curves(folder, arguments.suite, labels, folder / f"{arguments.suite}.png")
 
 
 def _keep(table: Path, row: dict[str, object]) -> None:

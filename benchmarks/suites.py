@@ -119,3 +119,8 @@ SUITES = {
     ),
     "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1, continues="100k"),
 }
+
+
+def name_of(suite: str, env: str, label: str, seed: int) -> str:
+    """Name of a run, also of its kept episodes."""
+    return f"{env}-{label}-{SUITES[suite].steps}-{seed}"

@@ -66,7 +66,9 @@ def _together(by_env: dict[str, dict[str, Rows]], labels: Sequence[str]) -> str:
 
 
 def _interval(values: list[float]) -> str:
-    return "{:,.0f} [{:,.0f}, {:,.0f}]".format(*interval([values])) if values else "-"
+    if len(values) < 2:
+        return f"{values[0]:,.0f}" if values else "-"
+    return "{:,.0f} [{:,.0f}, {:,.0f}]".format(*interval([values]))
 
 
 def _row(*cells: str) -> str:

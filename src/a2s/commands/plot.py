@@ -1,6 +1,7 @@
 """``a2s plot``: learning curves as the paper draws them (its figure 4)."""
 
 import csv
+import gzip
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,24 +20,27 @@ _POINTS = 100
 _WINDOW = 3
 
 Curve = npt.NDArray[np.float64]
+# By environment, then by way of learning: steps and returns of every seed.
+Panels = dict[str, dict[str, list[tuple[Curve, Curve]]]]
 
 
-def read_curve(run: Path) -> tuple[Curve, Curve]:
-    """Read the episodes of a run.
+def read_curve(episodes: Path) -> tuple[Curve, Curve]:
+    """Read an ``episodes.csv``, or an ``episodes.csv.gz``.
 
     Returns:
         Environment steps and return of every finished episode, each ``[E]``.
 
     Raises:
-        UsageError: This is no run directory, or no episode has ended yet.
+        UsageError: There are no episodes, or none has ended yet.
     """
+    opened = gzip.open if episodes.suffix == ".gz" else open
     try:
-        with (run / "episodes.csv").open(newline="") as file:
+        with opened(episodes, "rt", newline="") as file:
             rows = [(int(r["env_steps"]), float(r["return"])) for r in csv.DictReader(file)]
     except (OSError, KeyError, ValueError) as error:
-        raise UsageError(f"{run}: is not a run directory: episodes.csv: {error}") from None
+        raise UsageError(f"{episodes}: are no episodes of a run: {error}") from None
     if not rows:
-        raise UsageError(f"{run}: no episode has ended yet")
+        raise UsageError(f"{episodes}: no episode has ended yet")
     steps, returns = zip(*rows, strict=True)
     return np.array(steps, dtype=np.float64), np.array(returns)
 
@@ -74,10 +78,20 @@ def plot(runs: list[Path], output: Path) -> None:
     Raises:
         UsageError: A run cannot be read, or the picture cannot be written.
     """
-    panels: dict[str, dict[str, list[tuple[Curve, Curve]]]] = {}
+    panels: Panels = {}
     for run in runs:
         env, label = identity(run)
-        panels.setdefault(env, {}).setdefault(label, []).append(read_curve(run))
+        curve = read_curve(run / "episodes.csv")
+        panels.setdefault(env, {}).setdefault(label, []).append(curve)
+    draw(panels, output)
+
+
+def draw(panels: Panels, output: Path) -> None:
+    """Draw curves, for each seed and their mean.
+
+    Raises:
+        UsageError: The picture cannot be written.
+    """
     rows = max(map(len, panels.values()))
     size = (6 * len(panels), 4.2 + 0.25 * rows)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
