@@ -12,7 +12,8 @@ from numba.extending import intrinsic, overload
 
 from a2s.protocol.fields import Array
 
-# Sums may be reordered, so that they are made eight and more at a time.
+# Sums may be reordered, so that they are made eight and more at a time. A loop that adds up stores
+# nothing: else it is made one by one, in another order, where arrays happen to lie close together.
 _compiled = numba.njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
 )
@@ -45,9 +46,10 @@ def forward(
         if has_bias:
             shift[:] = bias[e, 0]
         for n in range(rows):
-            mean = _ZERO
             for j in range(width):
                 row[j] = _read(x, e, n, j) + shift[j]
+            mean = _ZERO
+            for j in range(width):
                 mean += row[j]
             mean /= _F(width)
             squares = _ZERO
@@ -101,6 +103,7 @@ def backward(  # noqa: C901 - its loops are the branches
                 through = _read(grad, e, n, j)
                 by_out[j] = _ZERO if _read(out, e, n, j) <= least else through
                 row[j] = (_read(x, e, n, j) + shift[j] - mean) * rstd
+            for j in range(width):
                 scaled = by_out[j] * gain[e, 0, j]
                 across += scaled
                 along += scaled * row[j]
