@@ -21,6 +21,7 @@ _FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008
 _UNUSED = "not used here"
 _OURS = "ours, to be tuned"
 _FASTEST = "fastest"
+_BF16_FLAGS = {"avx512_bf16", "amx_bf16"}
 _WARM_UP_PART = 10
 _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 
@@ -43,7 +44,7 @@ _MODERN: dict[str, Choice] = {
     "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
     "normalise_return": Choice(True, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
     "precision": Choice(
-        _FASTEST, "of this machine: bf16 if the processor multiplies tiles of it (AMX)"
+        _FASTEST, "of this machine: bf16 if the processor multiplies it (AVX-512, AMX)"
     ),
     "policy_loss": Choice("pathwise", _SAC),
     "distil_weight": Choice(0.0, "no gain in probes; docs/adr/0008"),
@@ -148,7 +149,8 @@ def choices(preset: str, total_steps: int | None = None) -> dict[str, Choice]:
 
 def _fastest_precision() -> Precision:
     processor = Path("/proc/cpuinfo")  # torch could say, but takes seconds to import
-    return "bf16" if processor.exists() and "amx_bf16" in processor.read_text() else "f32"
+    flags = processor.read_text().split() if processor.exists() else []
+    return "bf16" if _BF16_FLAGS.intersection(flags) else "f32"
 
 
 def off_policy(
