@@ -22,6 +22,7 @@ _BEST_OF_K = {
 }
 _PARTS = {
     "no-obs-norm": _off(normalise_obs=False),
+    "loud-rare-obs": _off(quiet_rare_obs=False),
     "no-return-norm": _off(normalise_return=False, huber_width=1, initial_temperature=0.1),
     "no-layer-norm": _off(layer_norm=False),
     "mlp": _off(network="mlp"),

@@ -42,6 +42,7 @@ _MODERN: dict[str, Choice] = {
     "policy_sizes": Choice((256, 256), _SAC),
     "layer_norm": Choice(True, "Nauman et al. 2024: above remedies particular to RL"),
     "normalise_obs": Choice(True, "SimBa (Lee et al. 2024)"),
+    "quiet_rare_obs": Choice(True, "contact forces drown the rest; docs/adr/0016"),
     "normalise_return": Choice(True, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
     "precision": Choice(
         _FASTEST, "of this machine: bf16 if the processor multiplies it (AVX-512, AMX)"
@@ -98,6 +99,7 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
     "critic_sizes": Choice((128, 64), "paper, section 5"),
     "policy_sizes": Choice((64, 64), "paper, section 5"),
     "normalise_obs": Choice(False, "authors' code"),
+    "quiet_rare_obs": Choice(False, _UNUSED),
     "normalise_return": Choice(False, _BOX),
     "huber_width": Choice(1.0, _UNUSED),
     "layer_norm": Choice(True, "authors' code"),

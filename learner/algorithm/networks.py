@@ -21,19 +21,28 @@ OBS_LIMIT = 10.0
 class Normaliser(nn.Module):
     """Running mean and standard deviation of observations.
 
-    Buffers: ``mean`` and ``variance``, float64 ``[D]``; ``count``, float64 ``[]``. Before the first
-    observation they are 0, 1, 0. When not enabled, observations pass as they are.
+    Where it ``quiets_rare`` ones, each is scaled further by the share of steps in which it was not
+    0: by its deviation alone a contact force is the louder the more seldom it is there
+    (docs/adr/0016).
+
+    Buffers: ``mean`` and ``variance``, and where it ``quiets_rare`` ones ``nonzero``, how often
+    each was not 0, float64 ``[D]``; ``count``, float64 ``[]``. Before the first observation they
+    are 0, but the variance 1. When not enabled, observations pass as they are.
     """
 
     mean: Tensor
     variance: Tensor
+    nonzero: Tensor
     count: Tensor
 
-    def __init__(self, size: int, *, enabled: bool) -> None:
+    def __init__(self, size: int, *, enabled: bool, quiets_rare: bool = False) -> None:
         super().__init__()
         self.enabled = enabled
+        self.quiets_rare = quiets_rare
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        if quiets_rare:
+            self.register_buffer("nonzero", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     @torch.no_grad()
@@ -50,10 +59,15 @@ class Normaliser(nn.Module):
         self.mean += shift * added / total
         self.variance.copy_(spread / total)
         self.count.copy_(total)
+        if self.quiets_rare:
+            self.nonzero += obs.count_nonzero(0)
 
     def constants(self) -> tuple[Tensor, Tensor]:
         """The mean to subtract and the factor to multiply by, float32 ``[D]`` each."""
-        return self.mean.float(), (self.variance + 1e-8).rsqrt().float()
+        factor = (self.variance + 1e-8).rsqrt()
+        if self.quiets_rare:
+            factor *= torch.where(self.count > 0, self.nonzero / self.count, 1.0)
+        return self.mean.float(), factor.float()
 
     def forward(self, obs: Tensor) -> Tensor:
         """Normalise and limit to +-10: float32 ``[N, D]`` to ``[N, D]``."""

@@ -94,6 +94,8 @@ class OffPolicyHyper:
     """Hidden layers are normalised, with gain and offset."""
     normalise_obs: bool
     """Observations are shifted and scaled by their running mean and standard deviation."""
+    quiet_rare_obs: bool
+    """Normalised ones are scaled further, by the share of steps in which they are not 0."""
     normalise_return: bool
     """Rewards are divided by the root mean square of returns over 64 steps of the replay; the
     temperature and ``huber_width`` are in units of that."""

@@ -45,7 +45,9 @@ class OffPolicyLearned:
             first = form.draw(members, generator).to(device)
             return Ensemble(form, first, precision=hyper.precision)
 
-        self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs).to(device)
+        self.normaliser = Normaliser(
+            obs_size, enabled=hyper.normalise_obs, quiets_rare=hyper.quiet_rare_obs
+        ).to(device)
         self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size

@@ -84,6 +84,7 @@ def test_graph_agrees_for_every_form_of_network(
     "options",
     [
         {"normalise_obs": False},
+        {"quiet_rare_obs": False},
         {"normalise_return": False},
         {"selection_fades": True},
         {"optimism": 0.0},

@@ -94,6 +94,31 @@ def test_normaliser_has_the_moments_of_everything_it_saw() -> None:
     torch.testing.assert_close(seen.mean(0), torch.zeros(3), atol=1e-5, rtol=0.0)
 
 
+@pytest.mark.parametrize(("one_in", "seen_as"), [(2, 0.5), (20, 0.218), (1000, 0.0316)])
+def test_the_rarer_an_observation_the_quieter(one_in: int, seen_as: float) -> None:
+    """With p = 1 / one_in it is sqrt((1 - p) / p) deviations from the mean, then p of that.
+
+    Whatever its size, and however it was divided into batches.
+    """
+    contact = torch.zeros(one_in, 1)
+    contact[-1] = 300.0
+    quiet, loud = (Normaliser(1, enabled=True, quiets_rare=q) for q in (True, False))
+    for normaliser in (quiet, loud):
+        for part in torch.split(contact, 3):
+            normaliser.update(part)
+    assert float(quiet(contact[-1])) == pytest.approx(seen_as, rel=3e-3)
+    assert float(loud(contact[-1])) == pytest.approx(min((one_in - 1) ** 0.5, 10.0), rel=1e-4)
+
+
+def test_what_is_never_0_is_no_quieter_and_nothing_is_before_the_first() -> None:
+    obs = torch.randn(99, 2) + 0.1
+    quiet, loud = (Normaliser(2, enabled=True, quiets_rare=q) for q in (True, False))
+    assert torch.equal(quiet(obs), loud(obs))
+    for normaliser in (quiet, loud):
+        normaliser.update(obs)
+    assert torch.equal(quiet(obs), loud(obs))
+
+
 def test_normaliser_limits_what_is_far_away() -> None:
     """One wild reading must not saturate a network."""
     normaliser = Normaliser(1, enabled=True)
