@@ -112,7 +112,7 @@ SUITES = {
     "100k": Suite(
         "off_policy",
         (*MUJOCO, "Ant-v5"),
-        (*_BOTH, "gamma-0.99", REFERENCE),
+        (*_BOTH, "gamma-0.99", "loud-rare-obs", REFERENCE),
         (0, 1, 2),
         100_000,
         1,
