@@ -43,6 +43,19 @@ def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) ->
     assert (tmp_path / "sub" / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_another_way_of_learning_has_another_colour_in_any_panel(tmp_path: Path) -> None:
+    """Of matplotlib's cycle the first and the second, though each panel has one line only."""
+    rows = [(10 * i, float(i)) for i in range(1, 50)]
+    runs = [
+        _run(tmp_path / "a", rows),
+        _run(tmp_path / "b", rows, env="Walker2d-v5", hyper="suggestions = 4"),
+    ]
+    plot(runs, tmp_path / "curves.svg")
+    drawn = (tmp_path / "curves.svg").read_text()
+    assert "stroke: #1f77b4" in drawn
+    assert "stroke: #ff7f0e" in drawn
+
+
 def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None:
     hyper = 'suggestions = 4\ntemperature = 3.0\nrecovery = "off"'
     run = _run(tmp_path / "a", [(10, 1.0)], hyper=hyper)

@@ -87,17 +87,18 @@ def plot(runs: list[Path], output: Path) -> None:
 
 
 def draw(panels: Panels, output: Path) -> None:
-    """Draw curves, for each seed and their mean.
+    """Draw curves, for each seed and their mean; what has one name has one colour in all panels.
 
     Raises:
         UsageError: The picture cannot be written.
     """
     rows = max(map(len, panels.values()))
     size = (6 * len(panels), 4.2 + 0.25 * rows)
+    colours = colours_of(panels)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
     for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
-        for index, (label, curves) in enumerate(sorted(groups.items())):
-            colour = f"C{index}"
+        for label, curves in sorted(groups.items()):
+            colour = colours[label]
             seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
             steps, returns = on_a_grid(curves)
             axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
@@ -115,6 +116,12 @@ def draw(panels: Panels, output: Path) -> None:
         raise UsageError(f"{output}: {error}") from None
     finally:
         plt.close(figure)
+
+
+def colours_of(panels: Panels) -> dict[str, str]:
+    """Give every way of learning a colour of matplotlib's cycle, wherever it appears."""
+    labels = sorted({label for groups in panels.values() for label in groups})
+    return {label: f"C{index}" for index, label in enumerate(labels)}
 
 
 def identity(run: Path) -> tuple[str, str]:
