@@ -109,7 +109,13 @@ def check_tensors(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -
     """
     for name, tensor in expected.items():
         if name not in found:
-            raise RunDirectoryError(f"learner state: found no tensor {name!r}, expected one")
-        if found[name].shape != tensor.shape:
+            wrong = f"found no tensor {name!r}, expected one"
+        elif found[name].shape != tensor.shape:
             shapes = f"found shape {list(found[name].shape)}, expected {list(tensor.shape)}"
-            raise RunDirectoryError(f"learner state: {name}: {shapes}")
+            wrong = f"{name}: {shapes}"
+        else:
+            continue
+        raise RunDirectoryError(
+            f"learner state: {wrong}; it is of other hyperparameters or of another version of a2s: "
+            "begin a new run"
+        )
