@@ -90,7 +90,7 @@ class OffPolicyLearning:
         self._quota_steps = hyper.send_every_steps
         self._shown_waits: dict[str, int] = {}
         self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
-        self._limiter.count_insert(self._replay.end)
+        self._limiter.count_insert(self._replay.live.stop)
         self._learned_from = 0
         if saved is not None:
             self._go_on(saved[1])
@@ -195,7 +195,7 @@ class OffPolicyLearning:
 
     def _go_on(self, scalars: dict[str, Any]) -> None:
         self._updates, self._learned_from = scalars["updates"], scalars["learned_from"]
-        self._limiter.load(scalars["limiter"], self._replay.end)
+        self._limiter.load(scalars["limiter"], self._replay.live.stop)
         self._replay.highest_priority = scalars["highest_priority"]
         self._shown_waits = self._waits()
         self._rng.bit_generator.state = scalars["rng"]
@@ -205,7 +205,7 @@ class OffPolicyLearning:
         obs = self._replay.obs_since(self._learned_from)
         if len(obs):
             self._algorithm.observe(torch.from_numpy(obs))
-        self._learned_from = self._replay.end
+        self._learned_from = self._replay.live.stop
 
     def _update(self) -> OffPolicyStats:
         if wants_returns(self._hyper, self._updates):

@@ -76,17 +76,13 @@ class Replay:
         return cls(about, ring, Priorities(np.zeros(slots, np.float32), alpha))
 
     def __len__(self) -> int:
-        return len(self._ring)
+        return len(self.live)
 
     @property
-    def begin(self) -> int:
-        """Number of the oldest row that can be sampled."""
-        return self._ring.begin
-
-    @property
-    def end(self) -> int:
-        """Rows ever inserted, and so the number of the next."""
-        return self._ring.end
+    def live(self) -> range:
+        """Numbers of the rows that can be sampled; its stop is how many were ever inserted."""
+        with self._guard:
+            return range(self._ring.begin, self._ring.end)
 
     @property
     def highest_priority(self) -> float:

@@ -61,7 +61,7 @@ class ServedReplay:
 
     def _on_info(self, payload: bytes) -> bytes:
         del payload
-        about, replay = self._replay.about, self._replay
+        about, live = self._replay.about, self._replay.live
         return encode(
             ReplayInfo(
                 run=self._keys.run,
@@ -69,8 +69,8 @@ class ServedReplay:
                 env_id=about.env_id,
                 spaces=about.spaces,
                 capacity=about.capacity,
-                begin=replay.begin,
-                end=replay.end,
+                begin=live.start,
+                end=live.stop,
             )
         )
 

@@ -23,9 +23,9 @@ def main() -> None:
     replay = directory.open_existing(Path(sys.argv[1]))
     seq = int(sys.argv[2])
     while True:
-        obs = played(seq, replay.end)
+        obs = played(seq, replay.live.stop)
         steps = len(obs) - 1
-        replay.insert(make_segment(obs, [1.0] * steps, seq=seq, before=replay.end))
+        replay.insert(make_segment(obs, [1.0] * steps, seq=seq, before=replay.live.stop))
         sys.stdout.write(f"{seq}\n")
         sys.stdout.flush()
         seq += 1

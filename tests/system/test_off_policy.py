@@ -43,8 +43,8 @@ def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_pa
     assert summary["segments"]["stale"] == 0
     run = tmp_path / "runs" / "r"
     replay = directory.look_at(run / "replay")
-    assert replay.end == _acknowledged(run).accepted_steps >= summary["env_steps"] >= 1500
-    due = replay.end - 100
+    assert replay.live.stop == _acknowledged(run).accepted_steps >= summary["env_steps"] >= 1500
+    due = replay.live.stop - 100
     arrived_last = 256  # while the last round was learned from
     assert due - arrived_last <= summary["updates"] <= due + 16  # lead_steps
     assert np.isfinite(summary["evaluation"]["mean"])
@@ -105,7 +105,7 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
     replay = directory.look_at(run / "replay")
     opened_s = time.perf_counter() - begin_s
     ledger = _acknowledged(run)
-    assert replay.end == ledger.accepted_steps
+    assert replay.live.stop == ledger.accepted_steps
     counted = [json.loads(x) for x in (run / "events.jsonl").read_text().splitlines()]
     starts = [e["generation"] for e in counted if e["event"] == "start"]
     assert starts == list(range(1, KILLS + 2))
@@ -121,7 +121,7 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
     assert told("accepted") <= kept
     known = f"{kept} segments known to the actors"
     wait_for(lambda: told("accepted") + told("duplicate") + 4 >= kept, known)
-    print(f"{KILLS} kills: {replay.end} steps, {kept} segments, opened in {opened_s:.3f} s")  # noqa: T201
+    print(f"{KILLS} kills: {replay.live.stop} steps, {kept} segments, opened in {opened_s:.3f} s")  # noqa: T201
 
 
 def _steps(log: Path) -> int:

@@ -35,9 +35,9 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
     if _is_stored(path, connect):
         assert path is not None
         replay = directory.look_at(directory.find(path))
-        about, begin, end = replay.about, replay.begin, replay.end
+        about, live = replay.about, replay.live
         more: dict[str, Any] = {"torn_records": replay.torn_records}
-        return _describe(about.env_id, about.spaces, about.capacity, begin, end) | more
+        return _describe(about.env_id, about.spaces, about.capacity, live.start, live.stop) | more
     assert connect is not None
     with closing(ZenohBus.connect(connect, lambda: False)) as bus:
         told = RemoteReplay(bus, Keys(run)).info()

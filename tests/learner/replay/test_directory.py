@@ -45,7 +45,7 @@ def observations(replay: Replay) -> list[float]:
     """First number of the observation of every live row, oldest first."""
     batch = replay.sample(60 * len(replay), np.random.default_rng(0))
     found = dict(zip(batch.row.tolist(), batch.obs[:, 0].tolist(), strict=True))
-    return [found[row] for row in range(replay.begin, replay.end)]
+    return [found[row] for row in replay.live]
 
 
 def snapshot(path: Path) -> dict[str, bytes]:
@@ -80,12 +80,14 @@ def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
         assert acknowledged == list(range(last + 1, last + 1 + len(acknowledged)))
         last = acknowledged[-1]
         with opened(tmp_path, is_known=lambda _, seq, last=last: seq <= last) as replay:
-            assert replay.end == sum(1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1))
-            assert len(replay) == min(capacity, replay.end)
+            assert replay.live.stop == sum(
+                1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1)
+            )
+            assert len(replay) == min(capacity, replay.live.stop)
             assert replay.taken_back <= replay_writer.MOST_STEPS
             batch = replay.sample(2 * len(replay), rng, n_step=2, gamma=0.5)
             assert np.array_equal(batch.obs[:, 0], batch.row)
-            assert np.array_equal(batch.reward == 1.0, batch.row == replay.end - 1)
+            assert np.array_equal(batch.reward == 1.0, batch.row == replay.live.stop - 1)
 
 
 def test_a_torn_record_is_cut_and_counted(tmp_path: Path) -> None:
@@ -103,11 +105,11 @@ def test_a_torn_record_is_cut_and_counted(tmp_path: Path) -> None:
         assert directory.look_at(path).torn_records == 1
         assert snapshot(path) == before
         with opened(path) as replay:
-            assert (replay.torn_records, replay.end) == (1, 36)
+            assert (replay.torn_records, replay.live.stop) == (1, 36)
             insert(replay, 9)
             assert observations(replay) == [float(i) for i in range(40)]
         with opened(path) as replay:
-            assert (replay.torn_records, replay.end) == (0, 40)
+            assert (replay.torn_records, replay.live.stop) == (0, 40)
 
 
 def test_rows_that_never_reached_the_disk_are_cut_at_the_end_and_refused_elsewhere(
@@ -119,7 +121,7 @@ def test_rows_that_never_reached_the_disk_are_cut_at_the_end_and_refused_elsewhe
     rows[116:120] = 0.0
     rows[112, 0] += 1.0
     with opened(tmp_path) as replay:
-        assert (replay.torn_records, replay.end, replay.begin) == (2, 112, 12)
+        assert (replay.torn_records, replay.live) == (2, range(12, 112))
         assert observations(replay) == [float(i) for i in range(12, 112)]
     rows[100, 1] = 1.0
     before = snapshot(tmp_path)
@@ -137,7 +139,7 @@ def test_when_much_is_cut_no_row_is_made_up(tmp_path: Path) -> None:
     for cut in range(1, 4):
         rows[(120 - 4 * cut) % len(rows), 0] = -1.0
     with opened(tmp_path) as replay:
-        assert (replay.torn_records, replay.begin, replay.end) == (3, 108, 108)
+        assert (replay.torn_records, replay.live.start, replay.live.stop) == (3, 108, 108)
         insert(replay, 27)
         assert observations(replay) == [108.0, 109.0, 110.0, 111.0]
 
@@ -151,7 +153,7 @@ def test_a_long_segment_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     with (tmp_path / "index-1.log").open("r+b") as file:
         file.truncate((tmp_path / "index-1.log").stat().st_size - RECORD_BYTES)
     with opened(tmp_path) as replay:
-        assert (replay.end, replay.torn_records) == (4, 2)
+        assert (replay.live.stop, replay.torn_records) == (4, 2)
 
 
 def test_segments_that_the_ledger_does_not_know_are_taken_back(tmp_path: Path) -> None:
@@ -161,12 +163,12 @@ def test_segments_that_the_ledger_does_not_know_are_taken_back(tmp_path: Path) -
     for seq in range(29):
         ledger.record("a", seq, "accepted", 4)
     with opened(tmp_path / "replay", is_known=ledger.knows) as replay:
-        assert (replay.taken_back, replay.begin, replay.end) == (4, 16, 116)
+        assert (replay.taken_back, replay.live) == (4, range(16, 116))
         assert observations(replay) == [float(i) for i in range(16, 116)]
     assert ledger.accounts().duplicate == 0
     ledger.close()
     with opened(tmp_path / "replay") as replay:
-        assert replay.end == 116
+        assert replay.live.stop == 116
 
 
 def test_a_segment_of_many_pieces_is_taken_back(tmp_path: Path) -> None:
@@ -179,7 +181,7 @@ def test_a_segment_of_many_pieces_is_taken_back(tmp_path: Path) -> None:
     replay.close()
     with opened(tmp_path, is_known=lambda _, seq: seq < 25) as replay:
         assert (replay.taken_back, replay.torn_records) == (350, 0)
-        assert (len(replay), replay.end) == (0, 100)
+        assert (len(replay), replay.live.stop) == (0, 100)
         insert(replay, 25)
         assert observations(replay) == [100.0, 101.0, 102.0, 103.0]
 
@@ -197,7 +199,7 @@ def test_rows_that_a_long_segment_was_not_written_over_are_there_again(
     replay.close()
     with opened(tmp_path, is_known=lambda _, seq: seq < 50) as replay:
         first = max(100, 200 + steps - 300)
-        assert (replay.taken_back, replay.begin, replay.end) == (steps, first, 200)
+        assert (replay.taken_back, replay.live) == (steps, range(first, 200))
         assert observations(replay) == [float(i) for i in range(first, 200)]
 
 
@@ -206,7 +208,7 @@ def test_the_index_does_not_grow_without_bound(tmp_path: Path) -> None:
     fill(tmp_path, segments=4100, capacity=100)
     assert (tmp_path / "index-1.log").stat().st_size < 50 * RECORD_BYTES
     with opened(tmp_path) as replay:
-        assert (replay.begin, replay.end) == (16_300, 16_400)
+        assert replay.live == range(16_300, 16_400)
         assert observations(replay) == [float(i) for i in range(16_300, 16_400)]
 
 
@@ -314,13 +316,13 @@ def test_two_learners_cannot_write_to_one_replay(tmp_path: Path) -> None:
             directory.open_existing(path)
         looking = directory.look_at(path)
         insert(replay, 10)
-        assert (looking.end, replay.end) == (40, 44)
+        assert (looking.live.stop, replay.live.stop) == (40, 44)
         with pytest.raises(UsageError, match="read only"):
             insert(looking, 10)
     with pytest.raises(RunDirectoryError, match="is there already"):
         directory.create(path, ENV_ID, SPACES, 100)
     with opened(path) as replay:
-        assert replay.end == 44
+        assert replay.live.stop == 44
 
 
 def test_who_looks_alone_keeps_learners_out(tmp_path: Path) -> None:
@@ -338,7 +340,7 @@ def test_who_looks_alone_keeps_learners_out(tmp_path: Path) -> None:
         replay.close()
     assert snapshot(path) == before
     with opened(path) as replay:
-        assert replay.end == 40
+        assert replay.live.stop == 40
 
 
 @contextmanager
@@ -387,7 +389,7 @@ def test_no_room_for_a_record_is_an_error_and_the_replay_is_as_before(tmp_path: 
         insert(replay, 10)
         assert observations(replay) == [float(i) for i in range(44)]
     with opened(path) as replay:
-        assert (replay.end, replay.torn_records) == (44, 0)
+        assert (replay.live.stop, replay.torn_records) == (44, 0)
 
 
 def test_a_disk_that_is_full_is_noticed(tmp_path: Path) -> None:

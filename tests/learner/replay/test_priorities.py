@@ -124,10 +124,10 @@ def test_evicted_rows_are_never_drawn(rng: np.random.Generator) -> None:
         steps = 1 + i % 7
         replay.insert(make_segment([float(i)] * (steps + 1), [1.0] * steps, seq=i))
         row = replay.sample(200, rng, prioritised=True).row
-        live = set(range(replay.begin, replay.end))
+        live = set(replay.live)
         assert set(row.tolist()) <= live
         assert i % 10 or set(row.tolist()) == live
-        replay.update_priorities(np.arange(replay.end), np.full(replay.end, 1000.0))
+        replay.update_priorities(np.arange(replay.live.stop), np.full(replay.live.stop, 1000.0))
 
 
 def test_priorities_survive(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -1,5 +1,7 @@
 """What is sampled, against values worked out by hand and against a slow and obvious list."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +44,7 @@ def targets(replay: Replay, n_step: int, gamma: float) -> dict[int, tuple[float,
 def assert_equals(replay: Replay, oracle: Oracle, n_step: int, gamma: float = 0.9) -> None:
     """Hold every row that can be sampled to the oracle, and none may be missing."""
     live = oracle.live()
-    assert (replay.begin, replay.end, len(replay)) == (live.start, live.stop, len(live))
+    assert (replay.live, replay.live.stop, len(replay)) == (live, live.stop, len(live))
     if not live:
         return
     found = targets(replay, n_step, gamma)
@@ -192,3 +194,24 @@ def test_what_cannot_be_sampled_or_inserted_is_refused(rng: np.random.Generator)
     wide = Spaces(obs_size=3, action_low=zeros, action_high=zeros + 1)
     with pytest.raises(MalformedMessageError, match=r"found obs_size and action_size \(2, 2\)"):
         Replay.in_memory(ENV_ID, wide, 100).insert(make_segment([1.0, 2.0], [1.0]))
+
+
+def test_no_one_sees_a_segment_that_is_half_inserted() -> None:
+    """Its pieces evict one another, so a reader between two of them would see other numbers."""
+    replay, stop = Replay.in_memory(ENV_ID, SPACES, 4), threading.Event()
+    segment = make_segment([float(i) for i in range(401)], [1.0] * 400)
+
+    def learn() -> None:
+        while not stop.is_set():
+            replay.insert(segment)
+
+    with ThreadPoolExecutor(1) as pool:
+        learning = pool.submit(learn)
+        try:
+            for _ in range(20_000):
+                live = replay.live
+                assert len(live) in {0, 4}
+                assert live.stop % 400 == 0
+        finally:
+            stop.set()
+        learning.result(timeout=10)
