@@ -118,7 +118,9 @@ SUITES = {
         1,
         continues="best-of-k",
     ),
-    "300k": Suite("off_policy", _OFF_ABLATED, _BOTH, (0, 1, 2), 300_000, 1, continues="100k"),
+    "300k": Suite(
+        "off_policy", (*_OFF_ABLATED, "Ant-v5"), _BOTH, (0, 1, 2), 300_000, 1, continues="100k"
+    ),
 }
 
 
