@@ -62,7 +62,7 @@ def test_live_over_the_network_without_a_change_to_the_first(
     assert first.end(signal.SIGINT) == 130
     events = [json.loads(x) for x in (tmp_path / "first/events.jsonl").read_text().splitlines()]
     assert [e["event"] for e in events if e["event"] in ("refusal", "leave")] == []
-    assert directory.look_at(tmp_path / "first" / "replay").end >= 100
+    assert directory.look_at(tmp_path / "first" / "replay").live.stop >= 100
 
 
 @pytest.mark.parametrize(
