@@ -4,7 +4,7 @@ import csv
 from collections.abc import Collection
 from pathlib import Path
 
-from suites import name_of
+from suites import kept_episodes, name_of
 
 from a2s.commands.plot import Panels, draw, read_curve
 
@@ -13,7 +13,7 @@ def curves(folder: Path, suite: str, labels: Collection[str], output: Path) -> N
     """Draw every run of a suite that is in ``results.csv``, a panel for each environment.
 
     Args:
-        folder: Where ``results.csv`` and ``episodes`` are.
+        folder: Where ``results.csv`` is.
         suite: Whose runs.
         labels: Which of them.
         output: The picture.
@@ -23,6 +23,6 @@ def curves(folder: Path, suite: str, labels: Collection[str], output: Path) -> N
         rows = [r for r in csv.DictReader(file) if r["suite"] == suite and r["label"] in labels]
     for row in rows:
         env, label, seed = row["env"], row["label"], int(row["seed"])
-        kept = folder / "episodes" / suite / f"{name_of(suite, env, label, seed)}.csv.gz"
-        panels.setdefault(env, {}).setdefault(label, []).append(read_curve(kept))
+        curve = read_curve(kept_episodes(suite, name_of(suite, env, label, seed)))
+        panels.setdefault(env, {}).setdefault(label, []).append(curve)
     draw(panels, output)

@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from curves import curves
-from suites import REFERENCE, SUITES, name_of
+from suites import REFERENCE, SUITES, kept_episodes, name_of
 from table import tables
 
 HERE = Path(__file__).parent
@@ -134,7 +134,7 @@ def _commit(path: Path) -> str:
 def _last_tenth(path: Path, suite: str, env_steps: int) -> float | None:
     """Average the training returns of the last tenth of a run, and keep all its episodes."""
     text = (path / "episodes.csv").read_text()
-    kept = HERE / SUITES[suite].folder / "episodes" / suite / f"{path.name}.csv.gz"
+    kept = kept_episodes(suite, path.name)
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_bytes(gzip.compress(text.encode(), mtime=0))
     rows = list(csv.DictReader(text.splitlines()))

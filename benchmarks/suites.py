@@ -1,6 +1,7 @@
 """What is run: suites of environments, labels, seeds and steps. Seeds were fixed before any run."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 PENDULUM = "InvertedPendulum-v5"
 MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
@@ -127,3 +128,8 @@ SUITES = {
 def name_of(suite: str, env: str, label: str, seed: int) -> str:
     """Name of a run, also of its kept episodes."""
     return f"{env}-{label}-{SUITES[suite].steps}-{seed}"
+
+
+def kept_episodes(suite: str, name: str) -> Path:
+    """Where the episodes of a run of this name are kept."""
+    return Path(__file__).parent / SUITES[suite].folder / "episodes" / suite / f"{name}.csv.gz"

@@ -1,14 +1,15 @@
 """Tables of a suite in Markdown, from a results.csv."""
 
 import csv
-import gzip
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scores import interval
-from suites import SUITES, name_of
+from suites import SUITES, kept_episodes, name_of
+
+from a2s.commands.plot import read_curve
 
 COLUMNS = {
     "mean": "mean action",
@@ -36,14 +37,13 @@ def tables(results: Path, suite: str, labels: Sequence[str]) -> str:
     by_env: dict[str, dict[str, Rows]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         by_env[row["env"]][row["label"]].append(row)
-    episodes = results.parent / "episodes" / suite
-    parts = [_environment(env, groups, labels, episodes) for env, groups in by_env.items()]
+    parts = [_environment(env, groups, labels) for env, groups in by_env.items()]
     if UNIT.keys() >= by_env.keys():
         parts.append(_together(by_env, labels))
     return "\n".join(parts)
 
 
-def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str], episodes: Path) -> str:
+def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str]) -> str:
     titles = (*COLUMNS.values(), "mean action of the seeds", "training, fifths of the run")
     lines = [f"### {env}", "", _row("", *titles), _row(*["---"] * (len(titles) + 1))]
     for label in labels:
@@ -52,21 +52,19 @@ def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str], episo
             continue
         cells = [_interval([float(r[c]) for r in rows if r[c]]) for c in COLUMNS]
         seeds = ", ".join(f"{float(r['mean']):.0f}" for r in rows)
-        fifths = np.ma.mean(np.ma.masked_invalid([_fifths(r, episodes) for r in rows]), axis=0)
+        fifths = np.ma.mean(np.ma.masked_invalid([_fifths(r) for r in rows]), axis=0)
         trained = ", ".join("-" if np.ma.is_masked(mean) else f"{mean:.0f}" for mean in fifths)
         lines.append(_row(label, *cells, seeds, trained))
     return "\n".join([*lines, ""])
 
 
-def _fifths(row: dict[str, str], episodes: Path) -> list[float]:
+def _fifths(row: dict[str, str]) -> list[float]:
     """Average the returns of the episodes that ended in each fifth of a run, NaN where none did."""
     name = name_of(row["suite"], row["env"], row["label"], int(row["seed"]))
-    fifth = SUITES[row["suite"]].steps / 5
-    ended: list[list[float]] = [[] for _ in range(5)]
-    with gzip.open(episodes / f"{name}.csv.gz", "rt") as file:
-        for episode in csv.DictReader(file):
-            ended[min(4, int(int(episode["env_steps"]) / fifth))].append(float(episode["return"]))
-    return [sum(returns) / len(returns) if returns else float("nan") for returns in ended]
+    steps, returns = read_curve(kept_episodes(row["suite"], name))
+    fifth = np.minimum(4, 5 * steps // SUITES[row["suite"]].steps)
+    ended = [returns[fifth == i] for i in range(5)]
+    return [float(each.mean()) if len(each) else float("nan") for each in ended]
 
 
 def _together(by_env: dict[str, dict[str, Rows]], labels: Sequence[str]) -> str:
