@@ -13,7 +13,7 @@ def curves(folder: Path, suite: str, labels: Collection[str], output: Path) -> N
     """Draw every run of a suite that is in ``results.csv``, a panel for each environment.
 
     Args:
-        folder: Where ``results.csv`` is.
+        folder: Where ``results.csv`` and ``episodes`` are.
         suite: Whose runs.
         labels: Which of them.
         output: The picture.
@@ -23,6 +23,6 @@ def curves(folder: Path, suite: str, labels: Collection[str], output: Path) -> N
         rows = [r for r in csv.DictReader(file) if r["suite"] == suite and r["label"] in labels]
     for row in rows:
         env, label, seed = row["env"], row["label"], int(row["seed"])
-        curve = read_curve(kept_episodes(suite, name_of(suite, env, label, seed)))
+        curve = read_curve(kept_episodes(folder, suite, name_of(suite, env, label, seed)))
         panels.setdefault(env, {}).setdefault(label, []).append(curve)
     draw(panels, output)

@@ -134,7 +134,7 @@ def _commit(path: Path) -> str:
 def _last_tenth(path: Path, suite: str, env_steps: int) -> float | None:
     """Average the training returns of the last tenth of a run, and keep all its episodes."""
     text = (path / "episodes.csv").read_text()
-    kept = kept_episodes(suite, path.name)
+    kept = kept_episodes(HERE / SUITES[suite].folder, suite, path.name)
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_bytes(gzip.compress(text.encode(), mtime=0))
     rows = list(csv.DictReader(text.splitlines()))

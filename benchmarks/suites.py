@@ -130,6 +130,6 @@ def name_of(suite: str, env: str, label: str, seed: int) -> str:
     return f"{env}-{label}-{SUITES[suite].steps}-{seed}"
 
 
-def kept_episodes(suite: str, name: str) -> Path:
-    """Where the episodes of a run of this name are kept."""
-    return Path(__file__).parent / SUITES[suite].folder / "episodes" / suite / f"{name}.csv.gz"
+def kept_episodes(folder: Path, suite: str, name: str) -> Path:
+    """Where the episodes of a run of this name are kept: beside the ``results.csv`` of a folder."""
+    return folder / "episodes" / suite / f"{name}.csv.gz"

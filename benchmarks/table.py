@@ -37,13 +37,13 @@ def tables(results: Path, suite: str, labels: Sequence[str]) -> str:
     by_env: dict[str, dict[str, Rows]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         by_env[row["env"]][row["label"]].append(row)
-    parts = [_environment(env, groups, labels) for env, groups in by_env.items()]
+    parts = [_environment(results.parent, *group, labels) for group in by_env.items()]
     if UNIT.keys() >= by_env.keys():
         parts.append(_together(by_env, labels))
     return "\n".join(parts)
 
 
-def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str]) -> str:
+def _environment(folder: Path, env: str, groups: dict[str, Rows], labels: Sequence[str]) -> str:
     titles = (*COLUMNS.values(), "mean action of the seeds", "training, fifths of the run")
     lines = [f"### {env}", "", _row("", *titles), _row(*["---"] * (len(titles) + 1))]
     for label in labels:
@@ -52,16 +52,16 @@ def _environment(env: str, groups: dict[str, Rows], labels: Sequence[str]) -> st
             continue
         cells = [_interval([float(r[c]) for r in rows if r[c]]) for c in COLUMNS]
         seeds = ", ".join(f"{float(r['mean']):.0f}" for r in rows)
-        fifths = np.ma.mean(np.ma.masked_invalid([_fifths(r) for r in rows]), axis=0)
+        fifths = np.ma.mean(np.ma.masked_invalid([_fifths(folder, r) for r in rows]), axis=0)
         trained = ", ".join("-" if np.ma.is_masked(mean) else f"{mean:.0f}" for mean in fifths)
         lines.append(_row(label, *cells, seeds, trained))
     return "\n".join([*lines, ""])
 
 
-def _fifths(row: dict[str, str]) -> list[float]:
+def _fifths(folder: Path, row: dict[str, str]) -> list[float]:
     """Average the returns of the episodes that ended in each fifth of a run, NaN where none did."""
     name = name_of(row["suite"], row["env"], row["label"], int(row["seed"]))
-    steps, returns = read_curve(kept_episodes(row["suite"], name))
+    steps, returns = read_curve(kept_episodes(folder, row["suite"], name))
     fifth = np.minimum(4, 5 * steps // SUITES[row["suite"]].steps)
     ended = [returns[fifth == i] for i in range(5)]
     return [float(each.mean()) if len(each) else float("nan") for each in ended]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from curves import curves
-from suites import SUITES, name_of
+from suites import SUITES, kept_episodes, name_of
 
 from a2s.protocol.errors import UsageError
 
@@ -20,7 +20,7 @@ def _keep(folder: Path, label: str, seed: int, returns: list[float]) -> None:
         results.write_text("suite,env,label,seed\n")
     with results.open("a") as file:
         file.write(f"{SUITE},{ENV},{label},{seed}\n")
-    kept = folder / "episodes" / SUITE / f"{name_of(SUITE, ENV, label, seed)}.csv.gz"
+    kept = kept_episodes(folder, SUITE, name_of(SUITE, ENV, label, seed))
     kept.parent.mkdir(parents=True, exist_ok=True)
     rows = [f"{10 * (i + 1)},{value}" for i, value in enumerate(returns)]
     kept.write_bytes(gzip.compress("\n".join(["env_steps,return", *rows]).encode()))
@@ -31,7 +31,7 @@ def test_the_episodes_of_every_row_of_a_suite_are_kept(folder: str) -> None:
     with (BENCHMARKS / folder / "results.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["suite"] in SUITES]
     expected = [
-        BENCHMARKS / folder / "episodes" / suite / f"{name_of(suite, env, label, int(seed))}.csv.gz"
+        kept_episodes(BENCHMARKS / folder, suite, name_of(suite, env, label, int(seed)))
         for suite, env, label, seed in ((r["suite"], r["env"], r["label"], r["seed"]) for r in rows)
     ]
     assert expected
