@@ -112,7 +112,7 @@ class Actor:
             notice = self._newest.other_than(known, self._wait_for_weights)
             if notice is None:
                 return
-            if notice.generation != welcome.generation:
+            if notice.generation != welcome.generation or self._is_of_another_run(notice):
                 welcome = self._join(env_id, num_envs, spaces)
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
@@ -137,13 +137,18 @@ class Actor:
         self._joining = Hello(actor=self._name, num_envs=num_envs, env_id=env_id, spaces=spaces)
         welcome = self._hello(self._joining)
         if welcome is not None:
-            self._welcome = welcome
+            self._welcome, self._notice = welcome, None
+            self._newest.forget()
             self._tally.count("joins")
             logger.info(
                 "joined run=%s generation=%d slot=%d env=%s envs=%d",
                 welcome.run, welcome.generation, welcome.slot, env_id, num_envs,
             )  # fmt: skip
         return welcome
+
+    def _is_of_another_run(self, notice: Notice) -> bool:
+        """Whether versions have begun anew: a learner was started without the past of the last."""
+        return self._notice is not None and notice.version < self._notice.version
 
     def _join_again(self) -> None:
         """Say hello as when joining: the learner took this actor off its roster.

@@ -15,9 +15,11 @@ _ASK_EVERY_S = 1.0
 
 
 class Newest:
-    """A slot for the newest notice; older ones are never seen.
+    """A slot for the newest notice.
 
-    An announcement can be lost, so whoever waits also asks, once a second.
+    An announcement can be lost, so whoever waits also asks, once a second. One that is older than
+    what is known is late, and never seen; but an answer is true: if it is older, the learner that
+    gives it is another one, which does not know what the one before had published.
     """
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
@@ -29,12 +31,17 @@ class Newest:
         bus.subscribe(keys.notice, lambda payload: self._take(decode(payload, Notice)))
 
     def hear(self, ack: Ack) -> None:
-        """Learn from an answer that there is something newer, and have it asked for."""
+        """Learn from an answer that there is something else, and have it asked for."""
         with self._changed:
             known = self._notice
-            if known is None or (ack.generation, ack.weights_version) > known.identity:
+            if known is None or (ack.generation, ack.weights_version) != known.identity:
                 self._asking = True
                 self._changed.notify_all()
+
+    def forget(self) -> None:
+        """Know nothing, and have it asked for."""
+        with self._changed:
+            self._notice, self._asking = None, True
 
     def overrules(self, notice: Notice) -> bool:
         """Whether the learner has recovered or restarted since these weights."""
@@ -72,6 +79,7 @@ class Newest:
         Returns:
             The weights, or ``None`` when the learner did not answer or the bytes are damaged.
         """
+        known = self._notice
         reply = self._bus.ask(self._keys.weights, b"", _ASK_TIMEOUT_S)
         if not reply:
             return None
@@ -81,16 +89,19 @@ class Newest:
             return None
         if hashlib.sha256(weights.graph).hexdigest() != weights.notice.sha256:
             return None
-        self._take(weights.notice)
+        self._take(weights.notice, known)
         return weights
 
     def _ask(self) -> None:
+        known = self._notice
         reply = self._bus.ask(self._keys.notice, b"", _ASK_TIMEOUT_S)
         if reply:
-            self._take(decode(reply, Notice))
+            self._take(decode(reply, Notice), known)
 
-    def _take(self, notice: Notice) -> None:
+    def _take(self, notice: Notice, overruled: Notice | None = None) -> None:
+        """Keep a notice, if it is newer than what is known, or than what it overrules is not."""
         with self._changed:
-            if self._notice is None or notice.identity > self._notice.identity:
+            known = self._notice
+            if known is None or known is overruled or notice.identity > known.identity:
                 self._notice = notice
                 self._changed.notify_all()

@@ -112,7 +112,7 @@ class Gather:
                 self._metrics.refused.labels(message="segment", reason="unknown_actor").inc()
                 return self._ack("unknown", f"actor {segment.actor} has not joined", segment)
             if self._ledger.leaps(segment.actor, segment.seq):
-                return self.refuse_segment("future", f"seq {segment.seq} is not the next")
+                return self.refuse_segment("future", f"seq {segment.seq} is far from the others")
             verdict, cause, reason = self._judge(segment, member)
             self._store(segment, verdict)
             if verdict == "refused":
@@ -233,7 +233,7 @@ class Gather:
         misfit = self._terms.misfit(segment, member.num_envs)
         if misfit:
             return "refused", "spaces", misfit
-        if self._notice is None or segment.weights_version > self._notice.version:
+        if self._notice is None or not 1 <= segment.weights_version <= self._notice.version:
             return "refused", "future", f"version {segment.weights_version} is not published"
         too_old = self._terms.too_old(segment, self._notice, self._pending_batches)
         return ("stale", "", too_old) if too_old else ("accepted", "", "")
@@ -284,14 +284,17 @@ class Gather:
         if not self._is_complete:
             more = self._terms.num_actors - len(self._roster.members)
             return f"{more} more of {self._terms.num_actors} actors: start `a2s actor`"
-        if self._terms.clock == "async":
-            if self._pending_steps >= self._batch_steps:
-                return ""
-            return f"{self._batch_steps - self._pending_steps} more steps"
+        is_async = self._terms.clock == "async"
+        if is_async and self._pending_steps >= self._batch_steps:
+            return ""
         now_s = time.monotonic()
-        members = [m for m in self._roster.members if now_s - m.heard_s < _SILENT_S]
+        present = self._roster.members
+        members = [m for m in present if now_s - m.heard_s < _SILENT_S]
         if not members:
-            return "actors: none is present, start `a2s actor`"
+            silent = f"none of {len(present)} was heard for {_SILENT_S:.0f} s"
+            return f"actors: {silent if present else 'none is present'}, start `a2s actor`"
+        if is_async:
+            return f"{self._batch_steps - self._pending_steps} more steps"
         late = [m.slot for m in members if not all(p.meets(notice) for p in m.progress)]
         done_s = [m.done_s - self._published_s for m in members if m.slot not in late]
         if late and not (done_s and self._is_overdue(now_s, max(done_s))):

@@ -142,7 +142,7 @@ class Learner:
             if self._plays_on:
                 self._publish()
             outcome = self._learn(segments)
-            self._recover(outcome)
+            self._recover(outcome, proceed)
             if not self._plays_on or outcome.recovered:
                 self._publish()
             self._write(outcome)
@@ -202,8 +202,12 @@ class Learner:
         """Whether the latest updates passed a multiple; never that of 0."""
         return every > 0 and self._at.updates // every > self._updates_before // every
 
-    def _recover(self, outcome: Outcome) -> None:
-        """Broadcast and write down a recovery; the restored networks are published next."""
+    def _recover(self, outcome: Outcome, proceed: Callable[[str], bool]) -> None:
+        """Broadcast and write down a recovery; the restored networks are published next.
+
+        What is being played meanwhile is waited for, though not learned from: environments are at
+        the same step in every run then.
+        """
         if not outcome.recovered:
             return
         self._at.epoch += 1
@@ -223,6 +227,8 @@ class Learner:
         self._directory.event("recovery", **asdict(event))
         self._service.announce_recovery(event)
         self._metrics.recoveries.inc()
+        if self._plays_on and self._at.env_steps < self._run.total_steps:
+            self._next_batch(proceed)
 
     def _export(self, version: int, *, to_keep: bool = False) -> bytes:
         metadata = {"env": self._run.env, "algo": self._run.algo}
@@ -233,20 +239,21 @@ class Learner:
 
     def _publish(self) -> None:
         """Export the networks; while the run goes on, serve and announce them."""
-        self._at.version += 1
+        version = self._at.version + 1
         with self._metrics.update_seconds.labels(phase="publish").time():
-            graph = self._export(self._at.version)
+            graph = self._export(version)
             if self._at.env_steps < self._run.total_steps:
                 quota = self._learning.quota(self._gather.num_envs)
                 notice = self._publisher.prepare(
                     graph,
                     generation=self._at.generation,
                     epoch=self._at.epoch,
-                    version=self._at.version,
+                    version=version,
                     quota=(quota.steps, quota.episodes),
                 )
                 self._gather.publish(notice, quota.batch_steps)
                 self._publisher.announce()
+        self._at.version = version
         self._metrics.published.inc()
         self._metrics.weights_version.set(self._at.version)
         self._metrics.weights_bytes.set(len(graph))

@@ -23,6 +23,7 @@ class Publisher:
         self._lock = threading.Lock()
         self._notice = b""
         self._weights = b""
+        self._prepared = b"", b""
         bus.answer(keys.notice, lambda _: self._newest()[0])
         bus.answer(keys.weights, lambda _: self._newest()[1])
 
@@ -33,7 +34,7 @@ class Publisher:
     def prepare(
         self, graph: bytes, *, generation: int, epoch: int, version: int, quota: tuple[int, int]
     ) -> Notice:
-        """Make the notice of a graph and serve both; who waits is told by :meth:`announce`.
+        """Make the notice of a graph; nobody sees either before :meth:`announce`.
 
         Args:
             graph: ONNX bytes.
@@ -51,11 +52,11 @@ class Publisher:
             num_bytes=len(graph),
             sha256=hashlib.sha256(graph).hexdigest(),
         )
-        encoded = encode(notice), encode(Weights(notice=notice, graph=graph))
-        with self._lock:
-            self._notice, self._weights = encoded
+        self._prepared = encode(notice), encode(Weights(notice=notice, graph=graph))
         return notice
 
     def announce(self) -> None:
-        """Tell everybody who listens."""
-        self._bus.publish(self._keys.notice, self._newest()[0])
+        """Serve what was prepared, and tell everybody who listens."""
+        with self._lock:
+            self._notice, self._weights = self._prepared
+        self._bus.publish(self._keys.notice, self._notice)

@@ -11,10 +11,11 @@ from a2s.protocol.errors import MalformedMessageError
 Array = npt.NDArray[np.float32]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
+NAME = "at most 96 of letters, digits, _ . -, beginning with no . or -"
 
 
 def is_name(text: str) -> bool:
-    """Tell whether a run or actor name can be part of a key: letters, digits, ``_ . -``."""
+    """Tell whether the name of a run or an actor can be part of a key: it is `NAME`."""
     return _NAME.fullmatch(text) is not None
 
 

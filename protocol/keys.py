@@ -17,7 +17,7 @@
 from dataclasses import dataclass
 
 from a2s.protocol.errors import UsageError
-from a2s.protocol.fields import is_name
+from a2s.protocol.fields import NAME, is_name
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -35,9 +35,7 @@ class Keys:
     def __post_init__(self) -> None:
         """Check the name."""
         if not is_name(self.run):
-            raise UsageError(
-                f"run name: found {self.run!r}, expected letters, digits and _ . - (at most 96)"
-            )
+            raise UsageError(f"run name: found {self.run!r}, expected {NAME}")
 
     def _key(self, rest: str) -> str:
         return f"a2s/{self.run}/{rest}"

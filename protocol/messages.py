@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from a2s.protocol.fields import Array, Spaces, is_name, require
+from a2s.protocol.fields import NAME, Array, Spaces, is_name, require
 
 Clock = Literal["lockstep", "async"]
 Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
@@ -42,9 +42,11 @@ class Hello:
 
     def __post_init__(self) -> None:
         """Check the name and that a joining actor says everything."""
-        require(is_name(self.actor), "hello: actor", repr(self.actor), "letters, digits, _ . -")
+        require(is_name(self.actor), "hello: actor", repr(self.actor), NAME)
         joins = self.spaces is not None
-        require(joins == bool(self.env_id), "hello: env_id", repr(self.env_id), "both or neither")
+        require(
+            joins == bool(self.env_id), "hello: env_id", repr(self.env_id), "spaces too, or neither"
+        )
         low, high = (1, 4096) if joins else (0, 0)
         require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
 
@@ -130,7 +132,7 @@ class Segment:
     def __post_init__(self) -> None:
         """Check the shapes against each other and the size of every number."""
         subject = f"segment {self.actor}/{self.seq}"
-        require(is_name(self.actor), "segment: actor", repr(self.actor), "letters, digits, _ . -")
+        require(is_name(self.actor), "segment: actor", repr(self.actor), NAME)
         require(self.obs.ndim == 2 and self.obs.size > 0, subject, self.obs.shape, "obs [T, D]")
         steps, obs_size = self.obs.shape
         require(self.suggestion.ndim == 2, subject, self.suggestion.shape, "suggestion [T, A]")

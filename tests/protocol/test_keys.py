@@ -81,5 +81,6 @@ def test_a_name_that_cannot_be_part_of_a_key_is_refused(name: str) -> None:
     with pytest.raises(UsageError) as caught:
         Keys(name)
     assert str(caught.value) == (
-        f"run name: found {name!r}, expected letters, digits and _ . - (at most 96)"
+        f"run name: found {name!r}, "
+        "expected at most 96 of letters, digits, _ . -, beginning with no . or -"
     )

@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from system_helpers import FAST, PATIENCE_S, REACH, Start, metrics_port, scrape
+from system_helpers import FAST, OFTEN, PATIENCE_S, REACH, Start, metrics_port, scrape
 
 from a2s.learner.algorithm.recovery import Recovery
 from a2s.protocol.codec import decode
@@ -18,15 +18,6 @@ from a2s.protocol.zenoh_bus import ZenohBus
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 WaitFor = Callable[..., None]
-# Any batch worse than the best may lead to a recovery, and small batches of a policy that learns
-# nothing (its step is tiny) differ by chance: there will be some.
-OFTEN = (
-    "--set", "batch_steps=64", "--set", "batch_steps_first=64", "--set", "learning_rate=1e-9",
-    "--set", "lr_rule=constant", "--set", "critic_epochs=1", "--set", "policy_epochs=1",
-    "--set", "recovery=invariant", "--set", "recovery_bias=0", "--set", "recovery_episodes=0",
-    "--set", "recovery_statistic=mean", "--set", "recovery_cool_down=0",
-    "--set", "recovery_best_decay=0", "--set", "recovery_offset=0",
-)  # fmt: skip
 
 
 def _table(path: Path) -> list[dict[str, str]]:

@@ -9,7 +9,17 @@ from typing import Any
 
 import psutil
 import pytest
-from system_helpers import FAST, PATIENCE_S, REACH, Start, is_alive, metrics_port, rows, scrape
+from system_helpers import (
+    FAST,
+    OFTEN,
+    PATIENCE_S,
+    REACH,
+    Start,
+    is_alive,
+    metrics_port,
+    rows,
+    scrape,
+)
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -53,9 +63,14 @@ def test_two_terminals_in_either_order(
     assert not any(is_alive(worker.pid) for worker in workers)
 
 
-def test_lockstep_is_reproducible_to_the_bit(run_a2s: RunA2S, tmp_path: Path) -> None:
+@pytest.mark.parametrize("settings", [(), OFTEN], ids=["without recovery", "with recoveries"])
+def test_lockstep_is_reproducible_to_the_bit(
+    run_a2s: RunA2S, tmp_path: Path, settings: tuple[str, ...]
+) -> None:
     """Two actors race each other differently in both runs; nothing of it is to be seen."""
-    options = ("--env", "InvertedPendulum-v5", *FAST, "--lockstep", "--seed", "7", "--n", "2")
+    options = (
+        "--env", "InvertedPendulum-v5", *FAST, *settings, "--lockstep", "--seed", "7", "--n", "2",
+    )  # fmt: skip
     summaries = [
         run_a2s("train", *options, "--total-steps", "3000", "--run", name, "--episodes", "1")
         for name in ("one", "two")
@@ -67,8 +82,9 @@ def test_lockstep_is_reproducible_to_the_bit(run_a2s: RunA2S, tmp_path: Path) ->
     assert rows(one / "updates.csv", without="wall_s") == rows(
         two / "updates.csv", without="wall_s"
     )
-    assert summaries[0]["weights_sha256"] == summaries[1]["weights_sha256"]
-    assert summaries[0]["evaluation"] == summaries[1]["evaluation"]
+    same = ("weights_sha256", "evaluation", "segments", "recoveries")
+    assert [summaries[0][key] for key in same] == [summaries[1][key] for key in same]
+    assert (summaries[0]["recoveries"] > 0) is bool(settings)
 
 
 def test_a_killed_actor_is_replaced_and_the_accounts_balance(
@@ -118,6 +134,23 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     assert numbers == list(range(1, len(numbers) + 1))
     events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
     assert [e["generation"] for e in events if e["event"] == "start"] == [1, 2]
+
+
+def test_actors_go_on_with_a_learner_that_begins_anew(
+    start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
+) -> None:
+    """It knows nothing of the versions that they have: it is a start of another run."""
+    options = (*REACH, *FAST, "--listen", endpoint, "--metrics-port", "-1", "--n", "2")
+    first = start("learner", *options, "--total-steps", "10000000", "--run-dir", "one")
+    actor = start("actor", "--n", "2", "--connect", endpoint, "--metrics-port", "0")
+    wait_for(lambda: _updates(tmp_path / "one") >= 25, "versions that the next will not reach soon")
+    workers = {worker.pid for worker in actor.workers()}
+    first.process.kill()
+    first.process.wait()
+    again = start("learner", *options, "--total-steps", "3000", "--run-dir", "two")
+    assert again.process.wait(PATIENCE_S) == 0, again.text()
+    assert {worker.pid for worker in actor.workers()} == workers
+    _assert_balance(_summary(tmp_path / "two")["segments"])
 
 
 def test_ctrl_c_stops_a_training_cleanly(start: Start, tmp_path: Path, wait_for: WaitFor) -> None:
