@@ -27,6 +27,7 @@ _STATUS_EVERY_S = 1.0
 _LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
 _PATIENCE_S = 10.0
+_QUOTAS_IN_SPOOL = 2
 
 
 class Actor:
@@ -118,6 +119,8 @@ class Actor:
             if self._notice is None or notice.identity != self._notice.identity:
                 suggester = self._pull() or suggester
             if suggester is not None and self._notice is not None:
+                if welcome.clock == "async":  # what waits long is of weights that are long gone
+                    self._spool.narrow(_QUOTAS_IN_SPOOL * self._notice.quota_steps * num_envs)
                 self._send(suggester, self._notice, self._rollout)
 
     def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:

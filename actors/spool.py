@@ -49,7 +49,7 @@ class Spool:
     ) -> None:
         self._bus = bus
         self._key = key
-        self._capacity_steps = capacity_steps
+        self._made_for_steps = self._capacity_steps = capacity_steps
         self._on_ack = on_ack
         self._on_unknown = on_unknown
         self._tally = tally
@@ -74,6 +74,13 @@ class Spool:
     def answered(self) -> int:
         """Segments that were answered."""
         return self._answered
+
+    def narrow(self, steps: int) -> None:
+        """Let at most so many steps wait from now on, if it was made for no fewer."""
+        with self._changed:
+            self._capacity_steps = min(self._made_for_steps, steps)
+            self._changed.notify_all()
+        self._tally.gauge("outbox_capacity_transitions", self._capacity_steps)
 
     def put(self, segment: Segment, timeout_s: float) -> bool:
         """Hand over a segment; blocks for at most ``timeout_s`` seconds while the spool is full.

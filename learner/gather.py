@@ -183,6 +183,11 @@ class Gather:
                 self._changed.wait(timeout=_WAIT_S)
             if self._failure is not None:
                 raise self._failure
+            return self.take()
+
+    def take(self) -> list[tuple[int, Segment]]:
+        """Take what is there, in the order of a batch."""
+        with self._changed:
             pending, self._pending, self._pending_steps = self._pending, [], 0
         pending.sort(key=lambda pair: (pair[0], pair[1].env, pair[1].seq))
         return pending

@@ -151,8 +151,9 @@ class Learner:
             if self._passed(self._run.keep_policy_every_updates):
                 self._directory.policy(f"policies/{self._at.env_steps:09d}", self._to_keep())
         self._at.version = max(self._at.version, self._first_version)
-        self._checkpoint()
         self._bus.close()
+        self._count(self._gather.take())
+        self._checkpoint()
         return self._finish()
 
     def _next_batch(self, proceed: Callable[[str], bool]) -> list[tuple[int, Segment]]:
@@ -160,6 +161,11 @@ class Learner:
         batch = self._gather.next_batch(proceed)
         self._metrics.starved.inc(time.monotonic() - begin_s)
         self._at.waiting_for = ""
+        self._count(batch)
+        return batch
+
+    def _count(self, batch: list[tuple[int, Segment]]) -> None:
+        """Add up steps and episodes: of a batch, and of what came too late to be one."""
         for slot, segment in batch:
             self._at.env_steps += segment.num_steps
             if segment.ends_episode:
@@ -175,7 +181,6 @@ class Learner:
                         "terminated": int(segment.terminated),
                     }
                 )
-        return batch
 
     def _learn(self, segments: list[Segment]) -> Outcome:
         made_by = max(segment.weights_version for segment in segments)

@@ -1,5 +1,6 @@
 """The off-policy variant: what was played is kept in a replay, and learned from again and again."""
 
+import logging
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,8 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
 from a2s.protocol.transport import Bus
+
+logger = logging.getLogger(__name__)
 
 _LEAST_HOLD_S = 0.02
 COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *SHOWN)
@@ -89,13 +92,17 @@ class OffPolicyLearning:
         self._update_s = 0.01
         self._quota_steps = hyper.send_every_steps
         self._shown_waits: dict[str, int] = {}
-        self._replay = _open(path / "replay", env_id, spaces, hyper, ledger)
+        least_rows = 0 if saved is None else saved[1]["learned_from"]
+        self._replay = _open(path / "replay", env_id, spaces, hyper, ledger, least_rows)
         self._limiter.count_insert(self._replay.live.stop)
         self._learned_from = 0
         if saved is not None:
             self._go_on(saved[1])
         self._observe_replay()
-        metrics.replay_torn.inc(self._replay.torn_records)
+        torn = self._replay.torn_records
+        metrics.replay_torn.inc(torn)
+        if torn:
+            logger.warning("replay %s: cut %d torn records at its end", path / "replay", torn)
         self._show()
 
     @property
@@ -171,14 +178,19 @@ class OffPolicyLearning:
         return Outcome(dict.fromkeys(SHOWN) | own | means)
 
     def state(self) -> Saved:
-        """Of the algorithm, the limiter and the draws; the replay keeps itself."""
-        return self._algorithm.state(), {
-            "updates": self._updates,
-            "learned_from": self._learned_from,
-            "limiter": self._limiter.state(),
-            "highest_priority": self._replay.highest_priority,
-            "rng": self._rng.bit_generator.state,
-        }
+        """Of the algorithm, the limiter and the draws; the replay keeps itself, on the disk."""
+        state = (
+            self._algorithm.state(),
+            {
+                "updates": self._updates,
+                "learned_from": self._learned_from,
+                "limiter": self._limiter.state(),
+                "highest_priority": self._replay.highest_priority,
+                "rng": self._rng.bit_generator.state,
+            },
+        )
+        self._replay.flush()
+        return state
 
     def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
         """Let others sample the replay."""
@@ -231,12 +243,27 @@ class OffPolicyLearning:
         self._shown_waits = waits
 
 
-def _open(path: Path, env_id: str, spaces: Spaces, hyper: OffPolicyHyper, ledger: Ledger) -> Replay:
+def _open(
+    path: Path,
+    env_id: str,
+    spaces: Spaces,
+    hyper: OffPolicyHyper,
+    ledger: Ledger,
+    least_rows: int,
+) -> Replay:
     """Open the replay that is there, given the wanted capacity; else make one."""
     sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
     alpha = hyper.priority_exponent
     if not (path / description.NAME).exists():
+        if least_rows:
+            logger.warning("replay %s: is not there any more, another is begun", path)
         return directory.create(path, env_id, spaces, alpha=alpha, **sizes)
     return directory.open_existing(
-        path, env_id=env_id, spaces=spaces, is_known=ledger.knows, alpha=alpha, **sizes
+        path,
+        env_id=env_id,
+        spaces=spaces,
+        is_known=ledger.knows,
+        least_rows=least_rows,
+        alpha=alpha,
+        **sizes,
     )

@@ -73,7 +73,7 @@ def create(
         raise
     ring = Ring(capacity, store.slots)
     priorities = Priorities(store.priority, alpha)
-    return Replay(about, ring, priorities, index=index, lock_file=lock_file)
+    return Replay(about, ring, priorities, index=index, store=store, lock_file=lock_file)
 
 
 def open_existing(
@@ -84,6 +84,7 @@ def open_existing(
     capacity: int | None = None,
     batch_size: int = 1,
     is_known: Callable[[str, int], bool] | None = None,
+    least_rows: int = 0,
     alpha: float = 0.6,
 ) -> Replay:
     """Open a replay to go on with it; every live row is compared with its checksum.
@@ -96,6 +97,8 @@ def open_existing(
         batch_size: The largest batch that will be sampled.
         is_known: Whether the segment with this actor and number was written into the ledger.
             Those at the end that were not were not acknowledged either, and are taken back.
+        least_rows: Rows that were inserted before the newest checkpoint. They are on the disk,
+            whatever is killed, so that what lacks them is damaged and not torn.
         alpha: Exponent of the priorities.
 
     Raises:
@@ -112,6 +115,12 @@ def open_existing(
     try:
         store = Store(path, about, writable=True)
         ring, records, live = store.restore(is_known)
+        if records.next_row < least_rows:
+            raise RunDirectoryError(
+                f"replay {path}: found {records.next_row} transitions that are whole and in the "
+                f"ledger, expected at least the {least_rows} of the newest checkpoint; restore the "
+                "files, or move the directory away to begin another"
+            )
         if capacity == about.capacity:
             index = store.index(records.num_bytes)
         else:
@@ -127,6 +136,7 @@ def open_existing(
         ring,
         priorities,
         index=index,
+        store=store,
         lock_file=lock_file,
         torn_records=records.torn,
         taken_back=records.taken_back,

@@ -11,6 +11,7 @@ from a2s.learner.replay.description import Description
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.priorities import Priorities
 from a2s.learner.replay.ring import Ring, num_slots
+from a2s.learner.replay.store import Store
 from a2s.learner.replay.transitions import Floats, Rows, Transitions
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.fields import Array, Spaces
@@ -32,6 +33,7 @@ class Replay:
         ring: The rows.
         priorities: Their priorities.
         index: Where insertions are written down; ``None`` in memory, or to read only.
+        store: The files of the rows; ``None`` likewise.
         is_writable: Whether transitions may be inserted.
         lock_file: Keeps other writers out; -1 without.
         torn_records: Pieces of segments that a kill had torn, cut when the replay was opened.
@@ -45,6 +47,7 @@ class Replay:
         priorities: Priorities,
         *,
         index: Index | None = None,
+        store: Store | None = None,
         is_writable: bool = True,
         lock_file: int = -1,
         torn_records: int = 0,
@@ -56,6 +59,7 @@ class Replay:
         self._ring = ring
         self._priorities = priorities
         self._index = index
+        self._store = store
         self._lock_file = lock_file
         self._is_writable = is_writable
         self._guard = threading.Lock()
@@ -176,6 +180,12 @@ class Replay:
                 live = row >= self._ring.begin
                 row, values = row[live], values[live]
             self._priorities.assign(row, values, highest)
+
+    def flush(self) -> None:
+        """Write everything to the disk, for the case that the machine dies."""
+        if self._store is not None and self._index is not None:
+            self._store.flush()
+            self._index.flush()
 
     def close(self) -> None:
         """Close the files; may be called twice."""

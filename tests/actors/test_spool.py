@@ -100,6 +100,16 @@ def test_a_learner_that_is_behind_is_sent_one_segment_at_a_time(wait_for: WaitFo
         assert not spool.put(_segment(2), 0.01)
 
 
+def test_a_spool_is_narrowed_but_never_beyond_what_it_was_made_for() -> None:
+    with _spool(Exchange(), 10, Tally()) as (spool, _):
+        spool.narrow(4)
+        assert spool.put(_segment(0), 0.01)
+        assert not spool.put(_segment(1), 0.01)
+        spool.narrow(100)
+        assert spool.put(_segment(1), 0.01)
+        assert not spool.put(_segment(2), 0.01)
+
+
 def test_a_segment_larger_than_the_spool_still_fits_when_it_is_empty() -> None:
     with _spool(Exchange(), 10, Tally()) as (spool, _):
         assert spool.put(_segment(0, steps=50), 0.01)

@@ -276,6 +276,68 @@ def test_a_state_that_does_not_fit_leaves_the_replay_alone(learning: Learn, tmp_
     assert sorted((p.name, p.stat().st_size) for p in (place / "replay").iterdir()) == before
 
 
+def _zero(name: str) -> Callable[[Path], None]:
+    def damage(place: Path) -> None:
+        file = place / "replay" / name
+        file.write_bytes(bytes(file.stat().st_size))
+
+    return damage
+
+
+def _shorten(name: str) -> Callable[[Path], None]:
+    def damage(place: Path) -> None:
+        file = place / name
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _zero("obs-1.f32"), _zero("index-1.log"), _shorten("replay/index-1.log"),
+        _shorten("segments.log"), lambda place: (place / "segments.log").unlink(),
+    ],
+    ids=["rows", "index", "part of the index", "part of the ledger", "ledger"],
+)  # fmt: skip
+def test_a_replay_that_lacks_what_a_checkpoint_knows_is_damaged_and_left_alone(
+    learning: Learn, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    """It is not torn by a kill: a checkpoint writes it to the disk."""
+    place = tmp_path / "run"
+    run = learning()
+    saved = _saved_after(8, run, place)
+    run.close()
+    damage(place)
+    before = {p.name: p.read_bytes() for p in (place / "replay").iterdir()}
+    with pytest.raises(
+        RunDirectoryError, match="expected at least the 40 of the newest checkpoint"
+    ):
+        learning(saved=saved)
+    assert {p.name: p.read_bytes() for p in (place / "replay").iterdir()} == before
+
+
+def test_rows_after_the_checkpoint_may_be_torn_and_another_replay_begun(
+    learning: Learn, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Both are said."""
+    place = tmp_path / "run"
+    run = learning()
+    saved = _saved_after(8, run, place)
+    run.close()
+    index = place / "replay" / "index-1.log"
+    index.write_bytes(index.read_bytes()[:-1])
+    again = learning(saved=saved)
+    assert again.state()[1]["learned_from"] == 55
+    again.close()
+    shutil.move(place / "replay", tmp_path / "moved")
+    learning(saved=saved).close()
+    assert [record.message for record in caplog.records] == [
+        f"replay {place / 'replay'}: cut 1 torn records at its end",
+        f"replay {place / 'replay'}: is not there any more, another is begun",
+    ]
+
+
 def test_a_replay_of_another_environment_is_refused(learning: Learn) -> None:
     learning().close()
     with pytest.raises(RunDirectoryError, match=r"Other-v0"):

@@ -15,6 +15,7 @@ from system_helpers import PATIENCE_S, REACH, Start, metrics_port, rows, scrape
 
 from a2s.learner.ledger import Ledger
 from a2s.learner.replay import directory
+from a2s.learner.replay.episodes import StoredEpisodes
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 60 * int(os.environ.get("KILLS", "3")))]
 
@@ -43,7 +44,9 @@ def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_pa
     assert summary["segments"]["stale"] == 0
     run = tmp_path / "runs" / "r"
     replay = directory.look_at(run / "replay")
-    assert replay.live.stop == _acknowledged(run).accepted_steps >= summary["env_steps"] >= 1500
+    assert replay.live.stop == _acknowledged(run).accepted_steps == summary["env_steps"] >= 1500
+    ends = len(list(StoredEpisodes(run / "replay")))
+    assert summary["episodes"] == ends == len(rows(run / "episodes.csv", without="wall_s")) - 1
     due = replay.live.stop - 100
     arrived_last = 256  # while the last round was learned from
     assert due - arrived_last <= summary["updates"] <= due + 16  # lead_steps
@@ -100,6 +103,8 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
         floor = _acknowledged(run).accepted_steps
         learner = start("learner", *options, "--resume")
     wait_for(lambda: _steps(run / "segments.log") > floor, "steps after the last kill")
+    capacity = 'a2s_actor_outbox_capacity_transitions{worker="0"}'
+    assert scrape(metrics_port(actor))[capacity] == 2 * 2 * 8  # quotas, environments, steps
     assert learner.end(signal.SIGINT) == 130
     begin_s = time.perf_counter()
     replay = directory.look_at(run / "replay")
