@@ -28,7 +28,7 @@ from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
 from a2s.protocol.codec import MAX_BYTES, MIB
-from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.errors import A2SError, UnreachableError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.replay_messages import MOST_SAMPLED, ReplaySample
 
@@ -111,8 +111,8 @@ class FromReplay:
             The summary, as in ``summary.json``.
 
         Raises:
-            A2SError: The replay is gone, what was learned is in the checkpoint; or the networks
-                are no longer finite, it is the one before.
+            UnreachableError: The replay is gone; what was learned is in the checkpoint.
+            A2SError: The networks are no longer finite; the checkpoint is the one before.
         """
         self._directory.event("start", generation=self._at.generation, env_steps=self._at.env_steps)
         self._metrics.target_steps.set(self._run.total_steps)
@@ -121,6 +121,8 @@ class FromReplay:
                 if self._is_filled(stopped):
                     with ThreadPoolExecutor(1, thread_name_prefix="replay") as ahead:
                         self._learn(ahead, stopped)
+            except UnreachableError as error:
+                raise UnreachableError(f"{error} Go on with --resume when it is there") from None
             finally:
                 if self._algorithm.is_finite():
                     self._checkpoint()

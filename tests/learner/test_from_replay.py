@@ -14,7 +14,7 @@ from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
-from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
+from a2s.protocol.errors import A2SError, RunDirectoryError, UnreachableError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
@@ -114,6 +114,24 @@ def test_observations_may_be_as_wide_as_a_batch_of_them_can_be_sent(tmp_path: Pa
     ServedReplay(InProcessBus(exchange), keys, replay(1.0, wide), 1, share=1.0).open()
     remote = RemoteReplay(InProcessBus(exchange), keys)
     assert learner(tmp_path, remote, wide).run(lambda: False)["updates"] == 100
+
+
+def test_a_replay_that_is_gone_ends_the_run_and_what_was_learned_is_kept(tmp_path: Path) -> None:
+    exchange, keys = Exchange(), Keys("gone")
+    server = InProcessBus(exchange)
+    ServedReplay(server, keys, replay(1.0), 1, share=1.0).open()
+    remote = RemoteReplay(InProcessBus(exchange), keys)
+    run = learner(tmp_path, remote, updates=1000)
+    rounds = iter([lambda: None, lambda: None, server.close])
+
+    def stopped() -> bool:
+        next(rounds)()
+        return False
+
+    with pytest.raises(UnreachableError, match=r"no answer.* Go on with --resume"):
+        run.run(stopped)
+    kept = sorted(p.name for p in (tmp_path / "checkpoints").iterdir())
+    assert kept == ["00000000", "00000200"]
 
 
 def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_update(
