@@ -99,7 +99,7 @@ class Newest:
             self._take(decode(reply, Notice), known)
 
     def _take(self, notice: Notice, overruled: Notice | None = None) -> None:
-        """Keep a notice, if it is newer than what is known, or than what it overrules is not."""
+        """Keep a notice that is newer than what is known, or that overrules it: see above."""
         with self._changed:
             known = self._notice
             if known is None or known is overruled or notice.identity > known.identity:
