@@ -3,7 +3,8 @@
 import json
 import socket
 import sys
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import torch
 from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
 
 from a2s import cli
-from a2s.commands.minari_export import executed
+from a2s.commands.minari_export import executed, room_of
 from a2s.learner.algorithm.off_policy import OffPolicy
 from a2s.learner.off_policy_export import export as write_graph
 from a2s.learner.off_policy_presets import off_policy
@@ -259,3 +260,89 @@ def test_minari_opens_what_is_exported(
         assert all(dataset.action_space.contains(action) for action in found.actions)
     assert run(*arguments, monkeypatch=monkeypatch) == 2
     assert "already exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", ["option", "variable"])
+def test_a_root_may_be_relative(
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Minari itself leaves half a data set there."""
+    minari: Any = pytest.importorskip("minari")
+    monkeypatch.chdir(tmp_path)
+    root = ("--root", "sets") if how == "option" else ()
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "elsewhere" if how == "option" else "sets")
+    assert run("export", stored, "count-v0", *root, monkeypatch=monkeypatch) == 0
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
+    assert minari.load_dataset("count-v0").total_episodes == 3
+
+
+@pytest.mark.parametrize("name", ["count", "../count-v0", "a2s/", "a b-v0", "count-v0/", ""])
+def test_a_bad_name_of_a_data_set_is_refused_before_anything_is_made(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+) -> None:
+    pytest.importorskip("minari")
+    root = tmp_path / "sets"
+    assert run("export", stored, name, "--root", root, monkeypatch=monkeypatch) == 2
+    error = capsys.readouterr().err
+    assert f"found name {name!r}, expected one such as hopper-v0" in error
+    assert len(error.splitlines()) == 1
+    assert not root.exists()
+
+
+def test_a_root_that_is_a_file_gets_one_line(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("minari")
+    root = tmp_path / "sets"
+    root.write_text("a file")
+    assert run("export", stored, "count-v0", "--root", root, monkeypatch=monkeypatch) == 2
+    assert "count-v0: Not a directory; name another" in capsys.readouterr().err
+
+
+def test_an_export_without_room_gets_one_line_and_leaves_nothing(
+    stored: Path,
+    tmp_path: Path,
+    no_room: Callable[[], AbstractContextManager[None]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """HDF5 itself would crash."""
+    pytest.importorskip("minari")
+    root = tmp_path / "sets"
+    arguments = ("export", stored, "count-v0", "--root", root)
+    with no_room():
+        assert run(*arguments, monkeypatch=monkeypatch) == 1
+    error = capsys.readouterr().err
+    assert "sets: File too large, 0.0 MiB are needed" in error
+    assert len(error.splitlines()) == 1
+    assert list(root.iterdir()) == []
+    assert run(*arguments, monkeypatch=monkeypatch) == 0
+    written = (root / "count-v0" / "data" / "main_data.hdf5").stat().st_size
+    assert written <= sum(map(room_of, StoredEpisodes(stored / "replay"))) <= 1.2 * written
+
+
+def test_an_export_that_fails_at_its_end_gets_one_line_and_leaves_nothing(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Where the namespace is to be there is a file; also after an export that was killed."""
+    pytest.importorskip("minari")
+    root = tmp_path / "sets"
+    left = root / ".a2s-count-v0.partial" / "a2s" / "count-v0"
+    left.mkdir(parents=True)
+    (root / "a2s").write_text("a file")
+    arguments = ("export", stored, "a2s/count-v0", "--root", root)
+    assert run(*arguments, monkeypatch=monkeypatch) == 1
+    error = capsys.readouterr().err
+    assert "sets/a2s/count-v0: " in error
+    assert len(error.splitlines()) == 1
+    assert [path.name for path in root.iterdir()] == ["a2s"]

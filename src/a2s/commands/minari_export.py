@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import os
+import shutil
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,11 +14,12 @@ import gymnasium
 import numpy as np
 
 from a2s import __version__
-from a2s.learner.replay.episodes import StoredEpisodes
-from a2s.protocol.errors import UsageError
+from a2s.learner.replay.episodes import Episode, StoredEpisodes
+from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.fields import Array, Spaces
 
 _VARIABLE = "MINARI_DATASETS_PATH"
+_GROUP_BYTES = 16 * 1024
 
 
 def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
@@ -35,21 +37,28 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         number of episodes of which not all steps are in the replay.
 
     Raises:
-        UsageError: Minari is not installed, the name is taken or none, or no episode is whole.
+        UsageError: Minari is not installed, the name is taken or none, no data set can be kept in
+            ``root``, or no episode is whole.
         RunDirectoryError: There is no replay, or it is damaged.
+        A2SError: The data set cannot be written, for example for want of room; none is left.
     """
     if any(importlib.util.find_spec(module) is None for module in ("minari", "h5py")):
         raise UsageError("export needs minari with hdf5; install them: pip install 'a2s[minari]'")
     import minari
     from minari.data_collector import EpisodeBuffer
 
+    namespace = _namespace_of(dataset_id)
+    kept = os.environ.get(_VARIABLE) or Path.home() / ".minari" / "datasets"
+    root = Path(root or kept).absolute()  # Minari takes a relative one for relative to itself
     episodes = StoredEpisodes(path)
     spaces = episodes.about.spaces
     low, high = spaces.action_low, spaces.action_high
     buffers = []
+    room = 0
     for index, episode in enumerate(episodes):
         steps = len(episode.reward)
         ends = np.arange(steps) == steps - 1
+        room += room_of(episode)
         buffers.append(
             EpisodeBuffer(
                 id=index,
@@ -62,9 +71,10 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         )
     if not buffers:
         raise UsageError(f"replay {path}: found no whole episode, {episodes.left_out} in part")
-    with _kept_in(root), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about an author that we do not know
-        try:
+    with _whole_or_not(dataset_id, namespace, root) as partial:
+        _require_room(partial, room)
+        with _kept_in(partial), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about an author that we do not know
             dataset = minari.create_dataset_from_buffers(
                 dataset_id=dataset_id,
                 buffer=buffers,
@@ -77,11 +87,9 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
                 description=f"Transitions of {episodes.about.env_id}, from a replay of a2s.",
                 data_format="hdf5",
             )
-        except ValueError as error:
-            raise UsageError(f"data set {dataset_id}: {error}") from None
         return {
             "dataset": dataset_id,
-            "path": str(dataset.storage.data_path.parent),
+            "path": str(root / dataset_id),
             "episodes": int(dataset.total_episodes),
             "steps": int(dataset.total_steps),
             "left_out": episodes.left_out,
@@ -116,12 +124,77 @@ def _spec(env_id: str) -> "gymnasium.envs.registration.EnvSpec | None":
     return spec
 
 
+def _namespace_of(dataset_id: str) -> str | None:
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        namespace: str | None = parse_dataset_id(dataset_id)[0]
+    except (ValueError, TypeError):  # the latter where there is no version
+        raise UsageError(
+            f"data set: found name {dataset_id!r}, expected one such as hopper-v0 or a2s/hopper-v0"
+        ) from None
+    return namespace
+
+
+def room_of(episode: Episode) -> int:
+    """Bytes in a file of HDF5, which has groups of 14 KiB and fills up chunks; some too many."""
+    steps = len(episode.reward)
+    return (
+        _GROUP_BYTES + (episode.obs.nbytes + episode.action.nbytes + steps * (8 + 1 + 1)) * 9 // 8
+    )
+
+
+def _require_room(path: Path, num_bytes: int) -> None:
+    """Take it, and give it back: HDF5 crashes where there is none."""
+    room = path / "room"
+    try:
+        with room.open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, num_bytes)
+    except OSError as error:
+        needed = f"{num_bytes / 2**20:.1f} MiB are needed"
+        raise A2SError(f"{path.parent}: {error.strerror}, {needed}; make room") from None
+    room.unlink()
+
+
 @contextmanager
-def _kept_in(root: Path | None) -> Iterator[None]:
+def _whole_or_not(dataset_id: str, namespace: str | None, root: Path) -> Iterator[Path]:
+    """Let a data set be made in a directory that Minari does not see, then put it into its place.
+
+    Raises:
+        UsageError: There is one of this name, or nothing can be written there.
+        A2SError: It could not be made, and nothing of it is left.
+    """
+    from minari.namespace import create_namespace, list_local_namespaces
+
+    final = root / dataset_id
+    partial = root / f".{dataset_id.replace('/', '-')}.partial"
+    try:
+        if final.exists():
+            raise UsageError(f"data set {final}: already exists; name another")
+        shutil.rmtree(partial, ignore_errors=True)  # an export was killed here
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise UsageError(
+            f"data set {final}: {error.strerror}; name another directory with --root"
+        ) from None
+    try:
+        yield partial
+        with _kept_in(root):
+            if namespace is not None and namespace not in list_local_namespaces():
+                create_namespace(namespace)
+        (partial / dataset_id).rename(final)
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise A2SError(f"data set {final}: {reason}; nothing of it is left") from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def _kept_in(root: Path) -> Iterator[None]:
     """Let Minari keep its data sets in a directory; it asks the environment where."""
     before = os.environ.get(_VARIABLE)
-    if root is not None:
-        os.environ[_VARIABLE] = str(root)
+    os.environ[_VARIABLE] = str(root)
     try:
         yield
     finally:
