@@ -89,11 +89,10 @@ def _make(env_id: str) -> "gymnasium.Env[Any, Any]":
             # Gymnasium announces newer versions of an id; the user chose this one.
             warnings.simplefilter("ignore", DeprecationWarning)
             return gymnasium.make(name, disable_env_checker=True)
-    except ModuleNotFoundError as error:
-        raise UsageError(f"environment {env_id!r}: {error}; install it, or name another") from None
-    except gymnasium.error.Error as error:
-        reason = " ".join(str(error).split())
-        raise UsageError(f"environment {env_id!r}: {reason}") from None
+    except (ImportError, gymnasium.error.Error) as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+        advice = "; install it, or name another" if isinstance(error, ImportError) else ""
+        raise UsageError(f"environment {env_id!r}: {reason}{advice}") from None
 
 
 def _spaces(env_id: str, env: "gymnasium.Env[Any, Any]") -> Spaces:

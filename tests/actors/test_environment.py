@@ -53,6 +53,8 @@ def test_the_same_seed_makes_the_same_episodes() -> None:
     [
         ("NoSuchThing-v5", "NoSuchThing"),
         ("Hopper-v99", "Hopper"),
+        ("Hopper-v3", "moved to the gymnasium-robotics project"),
+        ("Hopper-v2", "install it, or name another"),
         ("no_such_module:Thing-v0", "no_such_module"),
         ("CartPole-v1", "Discrete"),
         ("a2s_test_envs:DictObs-v0", "Dict"),
