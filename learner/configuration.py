@@ -6,6 +6,7 @@ A configuration is two tables of TOML, as every run directory keeps it::
     [hyper]   every hyperparameter, as `a2s learner --print-config` shows them
 """
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -27,6 +28,15 @@ Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
+_RANGES: dict[str, tuple[int, float]] = {
+    "total_steps": (1, math.inf),
+    "seed": (0, 2**63 - 1),
+    "n": (1, math.inf),
+    "envs": (1, 4096),
+    "checkpoint_every_updates": (1, math.inf),
+    "keep_policy_every_updates": (0, math.inf),
+    "threads": (1, math.inf),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,13 +86,10 @@ class RunConfig:
             if not choices and type(value) is not hint:
                 raise UsageError(f"{name}: found {value!r}, expected {hint.__name__}")
         Keys(self.run)
-        least = {"total_steps": 1, "seed": 0, "n": 1, "envs": 1}
-        least |= {"checkpoint_every_updates": 1, "keep_policy_every_updates": 0, "threads": 1}
-        for name, low in least.items():
-            if getattr(self, name) < low:
-                raise UsageError(f"{name}: found {getattr(self, name)}, expected at least {low}")
-        if self.envs > 4096:
-            raise UsageError(f"envs: found {self.envs}, expected at most 4096")
+        for name, (low, high) in _RANGES.items():
+            if not low <= (number := getattr(self, name)) <= high:
+                span = f"at least {low}" if high == math.inf else f"{low} to {high}"
+                raise UsageError(f"{name}: found {number}, expected {span}")
         name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
         if (found := getattr(self, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with variant {self.variant}")

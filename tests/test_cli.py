@@ -69,6 +69,7 @@ def test_a_mistake_gets_one_line(
     "arguments",
     [
         ["learner", "--seed", "x"],
+        ["learner", "--seed", str(10**22)],
         ["actor", "--n", "0"],
         ["learn"],
         ["learner", "--metrics-port", "-2"],
@@ -148,6 +149,7 @@ def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
         ("[runs]\n", "did you mean 'run'?"),
         ("[hyper]\nlearn_rate = 1\n", "did you mean 'learning_rate'?"),
         ("[run]\nseed = 'x'\n", "seed: found 'x', expected int"),
+        (f"[run]\nseed = {2**63}\n", f"seed: found {2**63}, expected 0 to {2**63 - 1}"),
         ("[run\n", "not TOML"),
         ("[run]\nclock = 'sync'\n", "clock: found 'sync'"),
     ],

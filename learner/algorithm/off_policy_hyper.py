@@ -29,7 +29,7 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "n_step": (1, 1024),
     "batch_rows": (1, 2**20),
     "warm_up_steps": (1, math.inf),
-    "replay_rows": (1, math.inf),
+    "replay_rows": (1, 10**9),
     "send_every_steps": (1, math.inf),
     "lead_steps": (1, math.inf),
 }

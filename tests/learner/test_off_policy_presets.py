@@ -96,6 +96,7 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ),
         ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
         ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
+        ({"replay_rows": 10**18}, r"replay_rows: found 10+, expected an integer from 1 to 1e\+09"),
         ({"replay_rows": 9}, r"batch_rows: found 256, expected at most replay_rows \(9\)"),
         (
             {"send_every_steps": 300, "lead_steps": 300, "replay_rows": 256},

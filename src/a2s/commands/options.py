@@ -47,6 +47,7 @@ Seed = Annotated[
         help="Seed of everything.",
         panel=_RUN,
         min=0,
+        max=2**63 - 1,
         show_default="0",
     ),
 ]
