@@ -137,7 +137,8 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read the two tables of a configuration file; either may be missing or incomplete.
 
     Raises:
-        UsageError: The file cannot be read, or has an unknown table or option.
+        UsageError: The file cannot be read, or has an unknown table or option, or
+            something else for a table.
     """
     try:
         document = tomllib.loads(path.read_text())
@@ -145,15 +146,34 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise UsageError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: not TOML: {error}") from None
-    for table in document:
+    for table, found in document.items():
         if table not in ("run", "hyper"):
             raise UsageError(f"{path}: unknown table [{table}]{nearest(table, ('run', 'hyper'))}")
+        if not isinstance(found, dict):
+            raise UsageError(f"{path}: {table}: found {found!r}, expected a table [{table}]")
     run, hyper = document.get("run", {}), document.get("hyper", {})
     valid = {field.name for field in fields(RunConfig)}
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{nearest(name, valid)}")
     return run, hyper
+
+
+def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:
+    """Check the names in the table ``hyper`` of a file.
+
+    Raises:
+        UsageError: One is none of this variant; the nearest is named.
+    """
+    if variant not in get_args(Variant):
+        return  # and that is what is wrong
+    kind = OffPolicyHyper if variant == "off-policy" else OnPolicyHyper
+    valid = {field.name for field in fields(kind)}
+    for name in hyper:
+        if name not in valid:
+            raise UsageError(
+                f"{path}: unknown hyperparameter {name!r} in [hyper]{nearest(name, valid)}"
+            )
 
 
 def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:

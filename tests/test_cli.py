@@ -147,10 +147,22 @@ def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
     [
         ("[run]\nsed = 1\n", "did you mean 'seed'?"),
         ("[runs]\n", "did you mean 'run'?"),
-        ("[hyper]\nlearn_rate = 1\n", "did you mean 'learning_rate'?"),
+        ("run = 3\n", "bad.toml: run: found 3, expected a table [run]"),
+        ("hyper = [1]\n", "bad.toml: hyper: found [1], expected a table [hyper]"),
+        ("[[run]]\nseed = 1\n", "bad.toml: run: found [{'seed': 1}], expected a table [run]"),
+        (
+            "[hyper]\nlearn_rate = 1\n",
+            "bad.toml: unknown hyperparameter 'learn_rate' in [hyper] (did you mean 'learning_r",
+        ),
+        (
+            "[run]\nvariant = 'off-policy'\n[hyper]\ntaus = 1\n",
+            "bad.toml: unknown hyperparameter 'taus' in [hyper] (did you mean 'tau'?)",
+        ),
         ("[run]\nseed = 'x'\n", "seed: found 'x', expected int"),
         (f"[run]\nseed = {2**63}\n", f"seed: found {2**63}, expected 0 to {2**63 - 1}"),
         ("[run\n", "not TOML"),
+        ("[run]\nvariant = 'of-policy'\n[hyper]\ntau = 1\n", "variant: found 'of-policy'"),
+        ("[run]\nvariant = [1]\n", "variant: found [1]"),
         ("[run]\nclock = 'sync'\n", "clock: found 'sync'"),
     ],
 )

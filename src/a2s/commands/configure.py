@@ -43,9 +43,11 @@ def configure(
         path = run_directory.choose(ROOT, given.get("run", "default"), run_dir, resume=True)
         config = config or path / run_directory.CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
+    variant = given.get("variant", run_table.get("variant", "on-policy"))
     if "suggestions" in given:
-        is_off = given.get("variant", run_table.get("variant")) == "off-policy"
-        hyper["act_suggestions" if is_off else "suggestions"] = given.pop("suggestions")
+        hyper["act_suggestions" if variant == "off-policy" else "suggestions"] = given.pop(
+            "suggestions"
+        )
     if "recovery" in given:
         preset = given.get("preset", run_table.get("preset", "modern"))
         hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))
@@ -56,6 +58,8 @@ def configure(
         if name in given
     ):
         hyper_table = {}
+    if config is not None:
+        configuration.require_known(config, hyper_table, variant)
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
     if not resume:
         path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)
