@@ -45,6 +45,8 @@ def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
         (["learner", "--device", "gpu"], "device: found 'gpu' (did you mean 'cpu'?)"),
         (["learner", "--device", "cuda"], "expected cpu with variant on-policy"),
         (["learner", "--variant", "off-policy", "--algo", "a2c"], "algo: found a2c, expected a2s"),
+        (["learner", "--variant", "off-policy", "--recovery"], "only on-policy learning has"),
+        (["train", "--variant", "off-policy", "--no-recovery"], "only on-policy learning has"),
         (["learner", "--config", "missing.toml"], "missing.toml: No such file"),
         (["learner", "--resume"], "found no run 'default'"),
         (["learner", "--resume", "--run-dir", "nowhere"], "nowhere holds no config.toml"),

@@ -8,6 +8,7 @@ from typing import Any
 from a2s.learner import configuration, run_directory
 from a2s.learner.configuration import Configuration
 from a2s.learner.presets import recovery_of
+from a2s.protocol.errors import UsageError
 
 ROOT = Path("runs")
 
@@ -44,13 +45,8 @@ def configure(
         config = config or path / run_directory.CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
     variant = given.get("variant", run_table.get("variant", "on-policy"))
-    if "suggestions" in given:
-        hyper["act_suggestions" if variant == "off-policy" else "suggestions"] = given.pop(
-            "suggestions"
-        )
-    if "recovery" in given:
-        preset = given.get("preset", run_table.get("preset", "modern"))
-        hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))
+    preset = given.get("preset", run_table.get("preset", "modern"))
+    _move_shorthands(given, hyper, variant, preset)
     # A complete file states every value; another preset or algorithm means its own values.
     if any(
         run_table.get(name, given[name]) != given[name]
@@ -64,3 +60,16 @@ def configure(
     if not resume:
         path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)
     return assembled, path
+
+
+def _move_shorthands(
+    given: dict[str, Any], hyper: dict[str, object], variant: str, preset: str
+) -> None:
+    """Move the options that stand for hyperparameters to these."""
+    if "suggestions" in given:
+        name = "act_suggestions" if variant == "off-policy" else "suggestions"
+        hyper[name] = given.pop("suggestions")
+    if "recovery" in given:
+        if variant == "off-policy":
+            raise UsageError("--recovery: only on-policy learning has recoveries; leave it out")
+        hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))

@@ -114,7 +114,7 @@ Preset = Annotated[
     _option(
         "--preset",
         env="A2S_PRESET",
-        help="Hyperparameters: modern, authors or paper.",
+        help="Hyperparameters: modern, authors or paper; off-policy modern, sac or paper.",
         panel=_ALGORITHM,
         show_default="modern",
     ),
@@ -134,7 +134,7 @@ Recovery = Annotated[
     _option(
         "--recovery/--no-recovery",
         env="A2S_RECOVERY",
-        help="Go back to the best networks when returns fall (equation 5).",
+        help="Go back to the best networks when returns fall (equation 5); on-policy only.",
         panel=_ALGORITHM,
         show_default="on for a2s, off for a2c",
     ),
