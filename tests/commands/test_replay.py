@@ -181,7 +181,7 @@ def test_a_served_replay_is_described_and_sampled_the_same(
     ("arguments", "code", "said"),
     [
         (["info"], 2, "name a run directory, or a learner with --connect"),
-        (["info", "x", "--connect", "tcp/127.0.0.1:1"], 2, "name a run directory, or a learner"),
+        (["info", "x", "--connect", "tcp/127.0.0.1:1"], 2, "found both x and tcp/127.0.0.1:1"),
         (["info", "x"], 1, "x: holds no replay"),
         (["sample", "x"], 1, "x: holds no replay"),
         (["info", "--connect", "tcp/127.0.0.1:1"], 1, "no learner at tcp/127.0.0.1:1"),
@@ -199,6 +199,22 @@ def test_a_mistake_gets_one_line(
     error = capsys.readouterr().err
     assert said in error
     assert len(error.splitlines()) == 1
+
+
+def test_a_learner_that_the_environment_names_beside_a_directory_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("A2S_CONNECT", "tcp/127.0.0.1:1")
+    assert run("info", "x", monkeypatch=monkeypatch) == 2
+    assert "tcp/127.0.0.1:1, from --connect or A2S_CONNECT" in capsys.readouterr().err
+
+
+def test_the_help_of_export_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Brackets are markup to what shows it."""
+    assert run("export", "--help", monkeypatch=monkeypatch) == 0
+    assert "Needs a2s[minari]." in capsys.readouterr().out
 
 
 def test_export_without_minari_says_what_to_install(

@@ -99,7 +99,12 @@ def _exponent(stored: Path) -> float:
 
 
 def _is_stored(path: Path | None, connect: str | None) -> bool:
-    if (path is None) == (connect is None):
+    if path is not None and connect is not None:
+        raise UsageError(
+            f"replay: found both {path} and {connect}, from --connect or A2S_CONNECT; "
+            "leave out the one, or unset the other"
+        )
+    if path is None and connect is None:
         raise UsageError("replay: name a run directory, or a learner with --connect ENDPOINT")
     return path is not None
 
