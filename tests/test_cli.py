@@ -67,6 +67,17 @@ def test_a_mistake_gets_one_line(
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(("name", "most"), [("n_step", 64), ("batch_rows", 4096)])
+def test_more_than_a_served_replay_gives_is_refused_before_the_run_begins(
+    name: str, most: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody serves one here; it is not even asked for."""
+    nobody = ("--replay-from", "first", "--connect", "tcp/127.0.0.1:1")
+    error = _usage("learner", *nobody, "--set", f"{name}={most + 1}", capsys=capsys)
+    assert f"{name}: found {most + 1}, expected at most {most} from a replay over" in error
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

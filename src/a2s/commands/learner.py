@@ -27,7 +27,7 @@ from a2s.learner.replay.description import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.replay_messages import ReplayInfo
+from a2s.protocol.replay_messages import MOST_SAMPLED, MOST_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464
@@ -118,7 +118,8 @@ def learn_from(
         The exit code.
 
     Raises:
-        UsageError: The variant is not off-policy, or the environment another.
+        UsageError: The variant is not off-policy, the environment another, or a batch more than
+            a learner answers with.
         A2SError: The replay cannot be read or reached.
     """
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
@@ -129,6 +130,8 @@ def learn_from(
     with ExitStack() as stack:
         hyper = configuration.hyper
         assert isinstance(hyper, OffPolicyHyper)
+        if not Path(source).is_dir():
+            _require_askable(hyper)
         replay, about, size, most = source_of(source, connect, stack, hyper.priority_exponent)
         if env not in (None, about.env_id):
             raise UsageError(
@@ -165,6 +168,15 @@ def learn_from(
     )
     out.flush()
     return _end(summary, stop, as_json=as_json)
+
+
+def _require_askable(hyper: OffPolicyHyper) -> None:
+    for name, most in {"n_step": MOST_STEPS, "batch_rows": MOST_SAMPLED}.items():
+        if (found := getattr(hyper, name)) > most:
+            raise UsageError(
+                f"{name}: found {found}, expected at most {most} from a replay over the network; "
+                "set less, or name a run directory"
+            )
 
 
 def _write_down(configuration: Configuration, path: Path) -> None:
