@@ -62,6 +62,22 @@ def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None
     assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
 
+def test_a_run_with_many_settings_fits_into_its_picture(tmp_path: Path) -> None:
+    """Matplotlib warns, which is an error here, where a legend leaves no room for the curves."""
+    settings = {
+        "suggestions": 4, "temperature": 2.5, "gamma": 0.97, "learning_rate": 0.000123,
+        "critic_learning_rate": 0.000456, "policy_sizes": [100, 100, 100], "recovery_bias": 0.4,
+        "q_sizes": [100, 100, 100], "recovery_episodes": 7, "recovery_cool_down": 9,
+        "distil_suggestions": 11,
+    }  # fmt: skip
+    hyper = "\n".join(f"{name} = {value}" for name, value in settings.items())
+    rows = [(10 * i, float(i)) for i in range(1, 50)]
+    runs = [_run(tmp_path / "a", rows, hyper=hyper), _run(tmp_path / "b", rows, env="Walker2d-v5")]
+    plot(runs, tmp_path / "curves.svg")
+    drawn = (tmp_path / "curves.svg").read_text()
+    assert all(f"{name}=" in drawn for name in settings)
+
+
 def test_an_off_policy_run_is_called_by_its_own_preset(tmp_path: Path) -> None:
     run = _run(tmp_path / "a", [(10, 1.0)], hyper="tau = 0.01")
     file = run / "config.toml"

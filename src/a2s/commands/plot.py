@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import textwrap
 from pathlib import Path
 
 import matplotlib as mpl
@@ -18,6 +19,7 @@ from matplotlib import pyplot as plt
 
 _POINTS = 100
 _WINDOW = 3
+_LETTERS = 64  # in the legend of a panel
 
 Curve = npt.NDArray[np.float64]
 # By environment, then by way of learning: steps and returns of every seed.
@@ -92,18 +94,21 @@ def draw(panels: Panels, output: Path) -> None:
     Raises:
         UsageError: The picture cannot be written.
     """
-    rows = max(map(len, panels.values()))
+    legends = {
+        env: {label: _legend(label, len(curves)) for label, curves in groups.items()}
+        for env, groups in panels.items()
+    }
+    rows = max("\n".join(legend.values()).count("\n") + 1 for legend in legends.values())
     size = (6 * len(panels), 4.2 + 0.25 * rows)
     colours = colours_of(panels)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
     for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for label, curves in sorted(groups.items()):
             colour = colours[label]
-            seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
             steps, returns = on_a_grid(curves)
             axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
             mean = smooth(returns.mean(0))
-            axis.plot(steps, mean, color=colour, linewidth=2.0, label=f"{label} ({seeds})")
+            axis.plot(steps, mean, color=colour, linewidth=2.0, label=legends[env][label])
         axis.set_title(env)
         axis.set_xlabel("environment steps")
         axis.set_ylabel("training return of an episode")
@@ -116,6 +121,12 @@ def draw(panels: Panels, output: Path) -> None:
         raise UsageError(f"{output}: {error}") from None
     finally:
         plt.close(figure)
+
+
+def _legend(label: str, num_seeds: int) -> str:
+    """Say it in lines that are no wider than a panel: others fall off the picture."""
+    seeds = "1 seed" if num_seeds == 1 else f"{num_seeds} seeds"
+    return textwrap.fill(f"{label} ({seeds})", _LETTERS, break_on_hyphens=False)
 
 
 def colours_of(panels: Panels) -> dict[str, str]:
