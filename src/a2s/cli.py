@@ -10,6 +10,7 @@ import typer
 
 from a2s import __version__
 from a2s.commands import options, replay_cli
+from a2s.commands.stopping import end_on_signals
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
@@ -295,6 +296,7 @@ def _installed(module: str) -> bool:
 
 def main() -> None:
     """Run the command line; what is expected to go wrong is one line on standard error."""
+    end_on_signals()
     try:
         app()
     except A2SError as error:

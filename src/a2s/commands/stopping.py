@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: the first asks for a clean stop, the second stops at once."""
+"""Ctrl-C and SIGTERM: the first asks work for a clean stop, the second ends it at once."""
 
 import os
 import signal
@@ -18,6 +18,12 @@ class Stop(threading.Event):
     """
 
     interrupted = False
+
+
+def end_on_signals() -> None:
+    """Have SIGINT and SIGTERM end this process with 130, also where a shell had one ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda _number, _frame: os._exit(EXIT_INTERRUPTED))
 
 
 @contextmanager

@@ -72,7 +72,7 @@ def train(
     if not (path / "summary.json").exists():
         return EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
-    if summary["finished"]:
+    if summary["finished"] and not stop.interrupted:
         summary["evaluation"] = _evaluate(path, evaluation, out)
         run_directory.write_summary(path, summary)
     _show(summary, path, out)
@@ -97,11 +97,24 @@ def _run(
             _end(actors)
     finally:
         _end(learner)
-    if learner.returncode not in (0, EXIT_INTERRUPTED):
+    is_begun = (path / run_directory.CONFIG).exists()
+    if not is_begun:
+        _remove_traces(path, log)
+    # One that is still starting, or whose work is done, ends at once.
+    is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
+    if learner.returncode not in (0, EXIT_INTERRUPTED) and not is_ended_by_us:
         advice = "nothing was begun"
-        if (path / run_directory.CONFIG).exists():
+        if is_begun:
             advice = f"go on from its checkpoint with: a2s train --resume --run-dir {path}"
         raise A2SError(f"the learner ended with code {learner.returncode}; {advice}")
+
+
+def _remove_traces(path: Path, log: Path) -> None:
+    """Leave no directory behind that would be taken for a run."""
+    log.unlink()
+    (path / "lock").unlink(missing_ok=True)
+    if not any(path.iterdir()):
+        path.rmdir()
 
 
 def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:

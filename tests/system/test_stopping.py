@@ -1,0 +1,85 @@
+"""One signal ends a command with 130, wherever it meets it."""
+
+import json
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+from system_helpers import FAST, REACH, Command, Start
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+WaitFor = Callable[..., None]
+Moment = Callable[[Command], bool]
+LONG = ("--episodes", "1000000")  # hours
+
+
+def _train(start: Start, *options: str) -> Command:
+    return start("train", *REACH, *FAST, "--run-dir", "run", "--metrics-port", "-1", *options)
+
+
+def _learner(train: Command) -> list[str]:
+    """What the learner of a training has mapped into its memory; nothing once it is gone."""
+    for child in psutil.Process(train.process.pid).children():
+        with suppress(psutil.NoSuchProcess):
+            if "learner" in child.cmdline():
+                return [m.path for m in child.memory_maps()]
+    return []
+
+
+@pytest.mark.parametrize(
+    ("moment", "number"),
+    [
+        (lambda train: "policy  " in train.text(), signal.SIGTERM),
+        (lambda train: "policy  " in train.text() and not _learner(train), signal.SIGINT),
+        (lambda train: "evaluating" in train.text(), signal.SIGTERM),
+    ],
+    ids=["learner leaves", "actors leave", "evaluates"],
+)
+def test_a_training_whose_learner_is_done_ends(
+    start: Start, tmp_path: Path, wait_for: WaitFor, moment: Moment, number: int
+) -> None:
+    train = _train(start, "--total-steps", "512", *LONG)
+    wait_for(lambda: moment(train), "the moment")
+    assert train.end(number) == 130, train.text()
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
+    assert "a2s: " not in train.text()
+    assert "Traceback" not in train.text()
+
+
+def test_ctrl_c_ends_an_evaluation_that_a_script_started_behind_itself(
+    start: Start, wait_for: WaitFor
+) -> None:
+    """Shells have SIGINT ignored there."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        train = _train(start, "--total-steps", "512", *LONG)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    wait_for(lambda: "evaluating" in train.text(), "the evaluation")
+    assert train.end(signal.SIGINT) == 130, train.text()
+
+
+@pytest.mark.parametrize(("module", "number"), [("", signal.SIGINT), ("libtorch", signal.SIGTERM)])
+def test_a_training_whose_learner_starts_ends_and_leaves_no_trace_of_a_run_not_begun(
+    start: Start, tmp_path: Path, wait_for: WaitFor, module: str, number: int
+) -> None:
+    train = _train(start, "--total-steps", "512")
+    wait_for(lambda: any(module in path for path in _learner(train)), "a learner that starts")
+    assert train.end(number) == 130, train.text()
+    assert "a2s: " not in train.text()
+    assert "Traceback" not in train.text()
+    run = tmp_path / "run"
+    assert run.exists() is (run / "config.toml").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_learner_that_starts_ends(start: Start, wait_for: WaitFor, number: int) -> None:
+    learner = start("learner", *REACH, "--run-dir", "run", "--metrics-port", "-1")
+    maps = psutil.Process(learner.process.pid).memory_maps
+    wait_for(lambda: any("libtorch" in m.path for m in maps()), "torch to be loaded")
+    assert learner.end(number) == 130, learner.text()
+    assert "Traceback" not in learner.text()
