@@ -55,9 +55,11 @@ def claimed(path: Path) -> Iterator[None]:
     Raises:
         RunDirectoryError: Another one is at work there, or the directory cannot be made.
     """
-    with _writing(path):
+    try:
         path.mkdir(parents=True, exist_ok=True)
         file = (path / "lock").open("a")
+    except OSError as error:
+        raise RunDirectoryError(f"{path}: {error.strerror}; name another --run-dir") from None
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -85,7 +85,8 @@ def _run(
     learner_options: list[str], actor_options: list[str], path: Path, out: IO[str], stop: Stop
 ) -> None:
     """Start both, wait for the learner, end the actors; one that fails ends the other."""
-    path.mkdir(parents=True, exist_ok=True)
+    with run_directory.claimed(path):
+        pass  # refused here, before anything is started, if the learner could not claim it
     log = path / "actors.log"
     learner = _start(learner_options, out)
     try:

@@ -1,0 +1,42 @@
+"""``a2s train`` refuses a directory before it starts anything."""
+
+from pathlib import Path
+
+import pytest
+
+from a2s.commands.train import train
+from a2s.learner.configuration import assemble
+from a2s.learner.run_directory import claimed
+from a2s.protocol.errors import RunDirectoryError
+
+
+def _train(path: Path) -> None:
+    train(
+        assemble({"env": "a2s_test_envs:Reach-v0"}, {}),
+        path,
+        listen=None,
+        metrics_port=-1,
+        resume=False,
+        as_json=False,
+        evaluation={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("file", "file: File exists; name another --run-dir"),
+        ("file/run", "file/run: Not a directory; name another --run-dir"),
+    ],
+)
+def test_a_directory_that_cannot_be_made_is_one_line(tmp_path: Path, path: str, said: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RunDirectoryError, match=said):
+        _train(tmp_path / path)
+
+
+def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) -> None:
+    """And the advice is not to go on there."""
+    with claimed(tmp_path), pytest.raises(RunDirectoryError, match=r"is at work there; stop it$"):
+        _train(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["lock"]
