@@ -111,6 +111,9 @@ class RunDirectory:
         path: The directory; made when it is not there.
         update_columns: Columns of ``updates.csv``.
         clock: Seconds since the run began, those before a resume included.
+
+    Raises:
+        RunDirectoryError: It cannot be written, or its number of starts is none.
     """
 
     def __init__(
@@ -119,6 +122,7 @@ class RunDirectory:
         self.path = path
         self._clock = clock
         self._update_columns = update_columns
+        self._starts = _read_starts(path / "generation")
         with _writing(path):
             path.mkdir(parents=True, exist_ok=True)
             self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
@@ -140,18 +144,34 @@ class RunDirectory:
         with _writing(self._episodes.name):
             csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values])
 
-    def read_episodes(self) -> Iterator[tuple[float, int]]:
-        """Yield return and length of every episode so far."""
-        with (self.path / "episodes.csv").open(newline="") as file:
-            for row in csv.DictReader(file):
-                yield float(row["return"]), int(row["length"])
+    def read_episodes(self) -> Iterator[tuple[float, float, int]]:
+        """Yield time, return and length of every episode so far.
+
+        Raises:
+            RunDirectoryError: A line is not one of this table; all files are closed.
+        """
+        path, line = self.path / "episodes.csv", []
+        with path.open(newline="") as file:
+            lines = csv.reader(file)
+            try:
+                for line in lines:
+                    if lines.line_num > 1:
+                        row = dict(zip(EPISODE_COLUMNS, line, strict=True))
+                        yield float(row["wall_s"]), float(row["return"]), int(row["length"])
+                    elif line != [*EPISODE_COLUMNS]:
+                        raise ValueError
+            except (ValueError, csv.Error):
+                self.close()
+                raise RunDirectoryError(
+                    f"{path} line {lines.line_num}: found {','.join(line)!r}, expected "
+                    f"{','.join(EPISODE_COLUMNS)}; mend it, or begin another run"
+                ) from None
 
     def count_start(self) -> int:
         """Count one more start of the learner; the first is 1."""
-        path = self.path / "generation"
-        generation = int(path.read_text()) + 1 if path.exists() else 1
-        write_atomically(path, str(generation).encode())
-        return generation
+        self._starts += 1
+        write_atomically(self.path / "generation", str(self._starts).encode())
+        return self._starts
 
     def update(self, row: Mapping[str, object]) -> None:
         """Append to ``updates.csv``."""
@@ -180,6 +200,16 @@ class RunDirectory:
         """Close the files."""
         for file in (self._episodes, self._updates, self._events):
             file.close()
+
+
+def _read_starts(path: Path) -> int:
+    try:
+        return int(path.read_text()) if path.exists() else 0
+    except ValueError:
+        raise RunDirectoryError(
+            f"{path}: found {path.read_text(errors='replace')!r}, expected how often the run was "
+            "started; write that number there"
+        ) from None
 
 
 def _short(value: object) -> object:

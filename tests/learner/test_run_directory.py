@@ -64,7 +64,7 @@ def test_episodes_are_read_back(tmp_path: Path) -> None:
     directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
     row = {"env_steps": 5, "actor": 0, "weights_version": 1, "length": 5, "terminated": 1}
     directory.episode(**row, **{"return": "-3.25"})
-    assert list(directory.read_episodes()) == [(-3.25, 5)]
+    assert list(directory.read_episodes()) == [(0.0, -3.25, 5)]
     directory.close()
     header, line = (tmp_path / "episodes.csv").read_text().splitlines()
     assert header == "wall_s,env_steps,actor,weights_version,return,length,terminated"
@@ -79,7 +79,7 @@ def test_a_torn_row_is_forgotten(tmp_path: Path, torn: str) -> None:
     directory = RunDirectory(tmp_path, ("update",), lambda: 2.0)
     row = {"env_steps": 7, "actor": 0, "weights_version": 1, "length": 2, "terminated": 1}
     directory.episode(**row, **{"return": "2.5"})
-    assert list(directory.read_episodes()) == [(1.5, 5), (2.5, 2)]
+    assert list(directory.read_episodes()) == [(0.0, 1.5, 5), (2.0, 2.5, 2)]
     directory.close()
 
 

@@ -1,0 +1,59 @@
+"""What a learner goes on with: its files as it left them, or it changes none."""
+
+import io
+from pathlib import Path
+
+import pytest
+
+from a2s.actors.environment import describe
+from a2s.learner.configuration import assemble
+from a2s.learner.learner import Learner
+from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.progress import PlainView
+from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.in_process import Exchange, InProcessBus
+
+ENV = "a2s_test_envs:Reach-v0"
+ROW = "1000.000,8,0,1,2.5,8,0\r\n"
+
+
+def _learner(path: Path, *, resume: bool) -> Learner:
+    return Learner(
+        configuration=assemble({"env": ENV}, {}),
+        spaces=describe(ENV),
+        bus=InProcessBus(Exchange()),
+        path=path,
+        metrics=LearnerMetrics(),
+        view=PlainView(io.StringIO()),
+        resume=resume,
+    )
+
+
+def _files(path: Path) -> dict[Path, bytes]:
+    return {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("generation", "two", "generation: found 'two', expected how often the run was started"),
+        ("episodes.csv", f"wall,steps\r\n{ROW}", r"episodes.csv line 1: found .*, expected wall_s"),
+        (
+            "episodes.csv",
+            "{header}1,8,0,1,?,8,0\r\n",
+            r"episodes.csv line 2: found '1,8,0,1,\?,8,0'",
+        ),
+    ],
+)
+def test_a_file_that_is_not_as_it_was_left_is_named_and_none_is_changed(
+    tmp_path: Path, name: str, text: str, said: str
+) -> None:
+    _learner(tmp_path, resume=False).run(lambda: True)
+    header = (tmp_path / "episodes.csv").read_bytes().decode()
+    (tmp_path / name).write_bytes(text.replace("{header}", header).encode())
+    with (tmp_path / "updates.csv").open("a") as file:
+        file.write("made after the checkpoint\n")  # it would be forgotten
+    before = _files(tmp_path)
+    with pytest.raises(RunDirectoryError, match=said):
+        _learner(tmp_path, resume=True)
+    assert _files(tmp_path) == before
