@@ -304,8 +304,9 @@ class Learner:
         self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
         self._at.updates = self._learning.updates
         self._at.rows = state["rows"]
-        for _, episode_return, length in self._directory.read_episodes():
+        for wall_s, episode_return, length in self._directory.read_episodes():
             self._record.add(episode_return, length)
+            self._at.worked_s = max(self._at.worked_s, wall_s)
         self._directory.keep_updates(self._at.rows)
 
     def _finish(self) -> dict[str, Any]:

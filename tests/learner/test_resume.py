@@ -57,3 +57,12 @@ def test_a_file_that_is_not_as_it_was_left_is_named_and_none_is_changed(
     with pytest.raises(RunDirectoryError, match=said):
         _learner(tmp_path, resume=True)
     assert _files(tmp_path) == before
+
+
+def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path: Path) -> None:
+    """The steps that were played in between are not played again."""
+    _learner(tmp_path, resume=False).run(lambda: True)
+    with (tmp_path / "episodes.csv").open("a", newline="") as file:
+        file.write(ROW)
+    summary = _learner(tmp_path, resume=True).run(lambda: True)
+    assert 1000.0 < summary["wall_s"] < 1100.0
