@@ -70,7 +70,10 @@ def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]
     """
     found = _all(folder)
     if not found:
-        raise RunDirectoryError(f"{folder}: found no checkpoint; start without --resume")
+        raise RunDirectoryError(
+            f"{folder}: found no checkpoint to go on from; name another --run-dir, or delete "
+            f"{folder.parent}"
+        )
     path = found[-1]
     advice = f"delete {path} to go on from the one before"
     try:

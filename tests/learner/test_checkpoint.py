@@ -71,7 +71,9 @@ def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, d
 
 
 def test_resuming_without_one_says_so(tmp_path: Path) -> None:
-    with pytest.raises(RunDirectoryError, match="found no checkpoint; start without --resume"):
+    """Not to start without --resume, which says to add it."""
+    words = f"found no checkpoint to go on from; name another --run-dir, or delete {tmp_path}$"
+    with pytest.raises(RunDirectoryError, match=words):
         checkpoint.load(tmp_path / "none", kind="k")
 
 
