@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -210,11 +211,19 @@ def source_of(
 
     Returns:
         The replay, what it is, how many transitions it holds now, and at most.
+
+    Raises:
+        UsageError: The source is a path, but not that of a directory.
+        A2SError: The replay cannot be read or reached.
     """
     if Path(source).is_dir():
         stored = directory.look_at(directory.find(Path(source)), alpha=exponent, alone=True)
         stack.callback(stored.close)
         return stored, stored.about, lambda: len(stored), len(stored)
+    if os.sep in source:  # no name of a run has one
+        raise UsageError(
+            f"--replay-from: found no directory {source}; name that of a run, or a run at --connect"
+        )
     bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
     remote = RemoteReplay(bus, Keys(source))
 
