@@ -1,4 +1,4 @@
-"""``a2s train`` refuses a directory before it starts anything."""
+"""``a2s train`` refuses a directory before it starts anything, and advises what can be done."""
 
 from pathlib import Path
 
@@ -7,16 +7,16 @@ import pytest
 from a2s.commands.train import train
 from a2s.learner.configuration import assemble
 from a2s.learner.run_directory import claimed
-from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.errors import A2SError, RunDirectoryError
 
 
-def _train(path: Path) -> None:
+def _train(path: Path, *, resume: bool = False) -> None:
     train(
         assemble({"env": "a2s_test_envs:Reach-v0"}, {}),
         path,
         listen=None,
         metrics_port=-1,
-        resume=False,
+        resume=resume,
         as_json=False,
         evaluation={},
     )
@@ -40,3 +40,9 @@ def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) ->
     with claimed(tmp_path), pytest.raises(RunDirectoryError, match=r"is at work there; stop it$"):
         _train(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["lock"]
+
+
+def test_a_resume_that_the_learner_refuses_is_not_advised_again(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").touch()  # without a checkpoint
+    with pytest.raises(A2SError, match=r"^the learner ended with code 1; nothing was begun$"):
+        _train(tmp_path, resume=True)

@@ -87,7 +87,7 @@ def _run(
     """Start both, wait for the learner, end the actors; one that fails ends the other."""
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
-    log = path / "actors.log"
+    log, before = path / "actors.log", _starts(path)
     learner = _start(learner_options, out)
     try:
         with log.open("a") as actor_log:
@@ -98,16 +98,21 @@ def _run(
             _end(actors)
     finally:
         _end(learner)
-    is_begun = (path / run_directory.CONFIG).exists()
-    if not is_begun:
+    if not (path / run_directory.CONFIG).exists():
         _remove_traces(path, log)
     # One that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
     if learner.returncode not in (0, EXIT_INTERRUPTED) and not is_ended_by_us:
         advice = "nothing was begun"
-        if is_begun:
+        if _starts(path) != before:
             advice = f"go on from its checkpoint with: a2s train --resume --run-dir {path}"
         raise A2SError(f"the learner ended with code {learner.returncode}; {advice}")
+
+
+def _starts(path: Path) -> bytes:
+    """Read what every start of a learner changes."""
+    count = path / "generation"
+    return count.read_bytes() if count.exists() else b""
 
 
 def _remove_traces(path: Path, log: Path) -> None:
