@@ -1,5 +1,6 @@
 """Bad usage: one line that says what and what to do, exit code 2, and no traceback."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -214,3 +215,14 @@ def test_no_help_has_words_in_brackets_which_would_vanish_as_markup() -> None:
     parameters = [parameter for command in commands.values() for parameter in command.params]
     assert len(parameters) > 50
     assert not [p.name for p in parameters if "[" in (getattr(p, "help", None) or "")]
+
+
+def test_what_may_not_be_read_is_one_line(tmp_path: Path) -> None:
+    """A replay of somebody else; root is asked to leave its powers behind."""
+    replay = tmp_path / "run" / "replay"
+    replay.mkdir(parents=True, mode=0)
+    powerless = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
+    command = [*powerless, sys.executable, "-m", "a2s.cli", "replay", "info", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = f"a2s: {replay}/replay.json: Permission denied; run as who may read and write it\n"
+    assert (done.returncode, done.stderr) == (1, said)

@@ -302,6 +302,11 @@ def main() -> None:
     except A2SError as error:
         sys.stderr.write(f"a2s: {error}\n")
         sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED)
+    except PermissionError as error:
+        sys.stderr.write(
+            f"a2s: {error.filename}: {error.strerror}; run as who may read and write it\n"
+        )
+        sys.exit(EXIT_FAILED)
 
 
 if __name__ == "__main__":
