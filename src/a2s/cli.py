@@ -136,7 +136,7 @@ def actor(
         typer.Option(
             envvar="A2S_SPOOL_STEPS",
             min=1,
-            help="Steps that each process keeps while the learner is away.",
+            help="Steps that each process keeps at most while the learner is away.",
         ),
     ] = 65_536,
     metrics_port: options.MetricsPort = None,
