@@ -118,9 +118,10 @@ class Actor:
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
                 suggester = self._pull() or suggester
-            if suggester is not None and self._notice is not None:
-                if welcome.clock == "async":  # what waits long is of weights that are long gone
+                if welcome.clock == "async" and self._notice is not None:
+                    # What waits long is of weights that are long gone.
                     self._spool.narrow(_QUOTAS_IN_SPOOL * self._notice.quota_steps * num_envs)
+            if suggester is not None and self._notice is not None:
                 self._send(suggester, self._notice, self._rollout)
 
     def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:

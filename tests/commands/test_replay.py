@@ -35,6 +35,12 @@ def run(*arguments: object, monkeypatch: pytest.MonkeyPatch) -> int:
     return int(ended.value.code or 0)
 
 
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The only line on standard error."""
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
 @pytest.fixture
 def stored(tmp_path: Path) -> Path:
     """A run directory with a replay of two streams, that have lost segments and evicted rows."""
@@ -196,9 +202,7 @@ def test_a_mistake_gets_one_line(
 ) -> None:
     """And the exit code of its kind."""
     assert run(*arguments, monkeypatch=monkeypatch) == code
-    error = capsys.readouterr().err
-    assert said in error
-    assert len(error.splitlines()) == 1
+    assert said in one_line(capsys)
 
 
 def test_a_learner_that_the_environment_names_beside_a_directory_is_named(
@@ -303,9 +307,7 @@ def test_a_bad_name_of_a_data_set_is_refused_before_anything_is_made(
     pytest.importorskip("minari")
     root = tmp_path / "sets"
     assert run("export", stored, name, "--root", root, monkeypatch=monkeypatch) == 2
-    error = capsys.readouterr().err
-    assert f"found name {name!r}, expected one such as hopper-v0" in error
-    assert len(error.splitlines()) == 1
+    assert f"found name {name!r}, expected one such as hopper-v0" in one_line(capsys)
     assert not root.exists()
 
 
@@ -335,9 +337,7 @@ def test_an_export_without_room_gets_one_line_and_leaves_nothing(
     arguments = ("export", stored, "count-v0", "--root", root)
     with no_room():
         assert run(*arguments, monkeypatch=monkeypatch) == 1
-    error = capsys.readouterr().err
-    assert "sets: File too large, 0.0 MiB are needed" in error
-    assert len(error.splitlines()) == 1
+    assert "sets: File too large, 0.0 MiB are needed" in one_line(capsys)
     assert list(root.iterdir()) == []
     assert run(*arguments, monkeypatch=monkeypatch) == 0
     written = (root / "count-v0" / "data" / "main_data.hdf5").stat().st_size
@@ -358,7 +358,5 @@ def test_an_export_that_fails_at_its_end_gets_one_line_and_leaves_nothing(
     (root / "a2s").write_text("a file")
     arguments = ("export", stored, "a2s/count-v0", "--root", root)
     assert run(*arguments, monkeypatch=monkeypatch) == 1
-    error = capsys.readouterr().err
-    assert "sets/a2s/count-v0: " in error
-    assert len(error.splitlines()) == 1
+    assert "sets/a2s/count-v0: " in one_line(capsys)
     assert [path.name for path in root.iterdir()] == ["a2s"]
