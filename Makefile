@@ -9,7 +9,7 @@ ARGS ?=
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test check format build clean
+.PHONY: help setup train test test-external check format build clean
 
 help: ## Show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -33,6 +33,9 @@ test: setup ## Run all tests, two at a time
 	@echo "== pytest"
 	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(ARGS)
 
+test-external: setup ## Train one environment of each other package for 3,000 steps
+	@bash tests/external/run.sh 3000 one
+
 check: setup ## Style, types, layers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -51,4 +54,4 @@ build: setup ## Build wheel and sdist, and try the wheel in an environment of it
 	@echo "the wheel works, and is an actor without torch"
 
 clean: ## Remove what was made, but not the runs
-	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-external dist build .pytest_cache .mypy_cache .ruff_cache

@@ -1,13 +1,28 @@
-"""Fresh episodes with a policy that no longer changes."""
+"""Fresh episodes with a policy that no longer changes, in a process of their own."""
 
-from dataclasses import dataclass
+import json
+import logging
+import math
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from a2s.actors.environment import Environment
+from a2s.actors.children import Watch, ask_child
+from a2s.actors.environments.environment import Environment, require_alike
+from a2s.actors.environments.making import seed_globals
+from a2s.actors.parent import Parent, answer
+from a2s.actors.rollout import ENDLESS_STEPS, is_usable
 from a2s.actors.suggester import Mode, Suggester
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError
+from a2s.protocol.fields import Array
+
+logger = logging.getLogger(__name__)
 
 # Keeps the seeds of evaluation apart from those of training.
 _EVALUATION = 0xE7A1
@@ -20,10 +35,12 @@ class Evaluation:
     Attributes:
         returns: Undiscounted return of each episode.
         lengths: Steps of each episode.
+        metrics: Mean over the episodes of what the environment told at their ends, by name.
     """
 
     returns: tuple[float, ...]
     lengths: tuple[int, ...]
+    metrics: dict[str, float] = field(default_factory=dict)
 
     @property
     def mean(self) -> float:
@@ -50,37 +67,174 @@ def read_policy(path: Path, mode: Mode) -> Suggester:
         raise UsageError(f"policy {path}: {error}") from None
 
 
-def evaluate(policy: Suggester, env_id: str, episodes: int, seed: int) -> Evaluation:
-    """Play episodes side by side, each from a seed of its own.
+def evaluate(
+    path: Path,
+    mode: Mode,
+    config: EnvConfig,
+    *,
+    episodes: int,
+    num_envs: int,
+    seed: int,
+    on_words: Callable[[str], None],
+    proceed: Callable[[], bool] = lambda: True,
+) -> Evaluation | None:
+    """Play episodes in another process.
 
     Args:
-        policy: How to act.
-        env_id: Where.
+        path: Of the policy.
+        mode: How to act.
+        config: Where.
         episodes: How many.
+        num_envs: Environments at most, side by side.
         seed: Makes the same episodes again; never those of training.
+        on_words: Told what the environment prints, and what takes long.
+        proceed: Asked again and again; when false, the process is ended.
+
+    Returns:
+        What the policy reached; ``None`` when told not to proceed.
 
     Raises:
         UsageError: The environment cannot be made, or does not fit the policy.
+        FaultyEnvironmentError: The environment raised, hung or died.
+    """
+    task = {
+        "policy": str(path), "mode": mode, "env": config.to_json(), "episodes": episodes,
+        "num_envs": num_envs, "seed": seed,
+    }  # fmt: skip
+    watch = Watch(config.env_id, config.timeout_s, on_words)
+    found = ask_child(__name__, task, watch, on_words, proceed)
+    if not found:
+        return None
+    return Evaluation(
+        returns=tuple(found["returns"]), lengths=tuple(found["lengths"]), metrics=found["metrics"]
+    )
+
+
+def play(
+    policy: Suggester, config: EnvConfig, environments: list[Environment], episodes: int, seed: int
+) -> Evaluation:
+    """Play episodes in this process, each from a seed of its own.
+
+    Raises:
+        UsageError: The environments do not fit the policy.
+        FaultyEnvironmentError: One raised, or returned what none may.
     """
     *env_seeds, noise_seed = np.random.SeedSequence([_EVALUATION, seed]).generate_state(
         episodes + 1
     )
     rng = np.random.default_rng(noise_seed)
-    environments = [Environment(env_id) for _ in range(episodes)]
-    policy.check(environments[0].spaces, env_id)
-    obs = [env.reset(int(s)) for env, s in zip(environments, env_seeds, strict=True)]
-    returns, lengths = [0.0] * episodes, [0] * episodes
-    playing = list(range(episodes))
-    while playing:
-        action = policy(np.stack([obs[i] for i in playing]), rng).action
-        ended = set()
-        for row, i in enumerate(playing):
-            obs[i], reward, terminated, truncated = environments[i].step(action[row])
-            returns[i] += reward
-            lengths[i] += 1
-            if terminated or truncated:
-                ended.add(i)
-        playing = [i for i in playing if i not in ended]
+    policy.check(environments[0].spaces, config.env_id)
+    seed_globals(int(noise_seed))
+    played = _Episodes(environments, [int(s) for s in env_seeds])
+    while playing := played.playing():
+        obs = np.stack([played.obs[index] for index in playing])
+        for index, action in zip(playing, policy(obs, rng).action, strict=True):
+            played.step(index, action)
+    return played.evaluation()
+
+
+class _Episodes:
+    """Episodes that are played in a few environments, each from a seed of its own.
+
+    Attributes:
+        obs: What each environment that still plays has shown last, by its index.
+    """
+
+    def __init__(self, environments: list[Environment], seeds: list[int]) -> None:
+        self._environments = environments
+        self._seeds = seeds
+        self._returns, self._lengths = [0.0] * len(seeds), [0] * len(seeds)
+        self._metrics: dict[str, list[float]] = defaultdict(list)
+        self._cut = self._unusable = 0
+        self._episode = [0] * len(environments)
+        self._waiting = list(range(len(seeds)))
+        self.obs: dict[int, Array] = {}
+        for index in range(len(environments)):
+            self._begin(index)
+
+    def playing(self) -> list[int]:
+        """Indices of the environments that still play."""
+        return sorted(self.obs)
+
+    def step(self, index: int, action: Array) -> None:
+        """Make a step in an environment; where its episode ends, begin the next."""
+        environment, episode = self._environments[index], self._episode[index]
+        obs, reward, terminated, truncated = environment.step(action)
+        if not (is_usable(obs) and math.isfinite(reward)):
+            # As a robot would whose sensor fails for a moment: go on with what was seen last.
+            self._unusable += 1
+            obs = obs if is_usable(obs) else self.obs[index]
+            reward = reward if math.isfinite(reward) else 0.0
+        self._returns[episode] += reward
+        self._lengths[episode] += 1
+        is_endless = environment.episode_limit is None and self._lengths[episode] >= ENDLESS_STEPS
+        if not (terminated or truncated or is_endless):
+            self.obs[index] = obs
+            return
+        self._cut += not (terminated or truncated)
+        for metric in environment.metrics():
+            self._metrics[metric.name].append(metric.value)
+        self._begin(index)
+
+    def _begin(self, index: int) -> None:
+        if not self._waiting:
+            del self.obs[index]
+            return
+        self._episode[index] = self._waiting.pop(0)
+        self.obs[index] = self._environments[index].reset(self._seeds[self._episode[index]])
+
+    def evaluation(self) -> Evaluation:
+        """Add it up, and say what was unusual."""
+        name = self._environments[0].name
+        if self._cut:
+            logger.warning(
+                "environment %s: %d of %d episodes had not ended after %s steps and were cut; "
+                "--max-episode-steps sets the limit",
+                name, self._cut, len(self._seeds), f"{ENDLESS_STEPS:,}",
+            )  # fmt: skip
+        if self._unusable:
+            logger.warning(
+                "environment %s: %d steps had numbers that are none or too large; the "
+                "observation before, or a reward of 0, was used",
+                name, self._unusable,
+            )  # fmt: skip
+        return Evaluation(
+            returns=tuple(self._returns),
+            lengths=tuple(self._lengths),
+            metrics={name: float(np.mean(values)) for name, values in self._metrics.items()},
+        )
+
+
+def _evaluate(parent: Parent) -> None:
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    task: dict[str, Any] = parent.task
+    policy = read_policy(Path(task["policy"]), task["mode"])
+    config = EnvConfig.from_json(task["env"])
+    offset = policy.metadata.get("obs_offset")
+    seed_globals(task["seed"])
+    environments = [
+        Environment(
+            config,
+            index=index,
+            activity=parent.activity,
+            offset=None if offset is None else np.array(json.loads(offset), dtype=np.float32),
+        )
+        for index in range(min(task["num_envs"], task["episodes"]))
+    ]
+    require_alike(environments)
+    found = play(policy, config, environments, task["episodes"], task["seed"])
+    parent.report(
+        {
+            "result": {
+                "returns": found.returns,
+                "lengths": found.lengths,
+                "metrics": found.metrics,
+            }
+        }
+    )
     for environment in environments:
         environment.close()
-    return Evaluation(returns=tuple(returns), lengths=tuple(lengths))
+
+
+if __name__ == "__main__":
+    answer(_evaluate)

@@ -15,6 +15,7 @@ from a2s.protocol.transport import Bus
 
 _ASK_TIMEOUT_S = 3.0
 _BACK_OFF_S = (0.05, 1.0)
+_MOST_BYTES = 256 << 20
 
 
 class _Waiting(NamedTuple):
@@ -32,7 +33,7 @@ class Spool:
     Args:
         bus: The connection.
         key: Where segments go.
-        capacity_steps: Steps that may wait; at least one segment always fits.
+        capacity_steps: Steps that may wait, in at most 256 MiB; at least one segment always fits.
         on_ack: Told every answer, on the sender's thread.
         on_unknown: Told that the learner does not know this actor, on the sender's thread.
         tally: Where answers, retries and bytes are counted.
@@ -55,6 +56,8 @@ class Spool:
         self._tally = tally
         self._waiting: deque[_Waiting] = deque()
         self._steps = 0
+        self._bytes = 0
+        self._random = random.Random()  # the global one is the environments'
         self._answered = 0
         self._draining = False
         self._closing = False
@@ -93,13 +96,16 @@ class Spool:
             if not self._changed.wait_for(lambda: self._fits(item), timeout=timeout_s):
                 return False
             self._waiting.append(item)
-            self._count_steps(item.steps)
+            self._count(item, 1)
             self._changed.notify_all()
         return True
 
     def _fits(self, item: _Waiting) -> bool:
         capacity_steps = 0 if self._held_back else self._capacity_steps
-        return not self._waiting or self._steps + item.steps <= capacity_steps
+        if not self._waiting:
+            return True
+        fits = self._steps + item.steps <= capacity_steps
+        return fits and self._bytes + len(item.payload) <= _MOST_BYTES
 
     def close(self, timeout_s: float) -> int:
         """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
@@ -132,15 +138,16 @@ class Spool:
                 return
             with self._changed:
                 self._waiting.popleft()
-                self._count_steps(-item.steps)
+                self._count(item, -1)
                 self._answered += 1
                 self._held_back = ack.wait_s > 0
                 self._changed.notify_all()
             self._on_ack(ack)
             self._pause(ack.wait_s)
 
-    def _count_steps(self, steps: int) -> None:
-        self._steps += steps
+    def _count(self, item: _Waiting, sign: int) -> None:
+        self._steps += sign * item.steps
+        self._bytes += sign * len(item.payload)
         self._tally.gauge("outbox_transitions", self._steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
@@ -161,7 +168,7 @@ class Spool:
             if self._draining:
                 return None
             self._tally.count("retries")
-            self._pause(back_off_s * random.uniform(0.5, 1.0))
+            self._pause(back_off_s * self._random.uniform(0.5, 1.0))
             back_off_s = min(back_off_s * 2, longest_s)
         return None
 

@@ -79,7 +79,8 @@ class Suggester:
         if found != (spaces.obs_size, spaces.action_size):
             raise UsageError(
                 f"policy: found obs_size and action_size {found}, expected "
-                f"{(spaces.obs_size, spaces.action_size)} for {env_id}"
+                f"{(spaces.obs_size, spaces.action_size)} for {env_id}; give the options of the "
+                "environment that it was trained on"
             )
 
     def __call__(self, obs: Array, rng: np.random.Generator) -> Choice:

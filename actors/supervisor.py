@@ -1,24 +1,25 @@
-"""``a2s actor``: starts n worker processes, replaces those that die, shows what they count."""
+"""``a2s actor``: starts n workers, replaces those that die or hang, adds up their counts."""
 
-import json
+import contextlib
 import logging
-import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
-from typing import IO
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+from a2s.actors.children import Child, Report, Watch, death_of
 from a2s.actors.metrics import Fleet
-from a2s.actors.worker import EXIT_HOPELESS, Task
+from a2s.actors.worker import Task
+from a2s.protocol.env_config import TIMEOUT_S
 from a2s.protocol.errors import A2SError
 
 logger = logging.getLogger(__name__)
 
 _BACK_OFF_S = (0.2, 5.0)
-_CRASH_LOOP_DEATHS = 5
-_CRASH_LOOP_LIFE_S = 30.0
+_DEATHS_WITHOUT_WORK = 5
 _STOP_S = 12.0
+_FAILED_S = 2.0
 _POLL_S = 0.1
 
 
@@ -27,19 +28,21 @@ class _Worker:
     """One place and the process that holds it now."""
 
     task: Task
-    process: "subprocess.Popen[str] | None" = None
-    reader: threading.Thread | None = None
-    started_s: float = 0.0
+    watch: Watch
+    child: Child | None = None
     start_at_s: float = 0.0
     deaths_in_a_row: int = 0
-    last_words: list[str] = field(default_factory=list)
+    accepted: float = 0.0
+    error: str = ""
+    is_hopeless: bool = False
 
 
 class Supervisor:
     """Keeps one worker process per task alive.
 
-    A worker that dies is started again after a back-off that grows with every early death; after
-    five early deaths in a row nothing is gained by going on, and :meth:`run` raises.
+    A worker that dies, or does not come back from its environment, is replaced after a back-off
+    that grows with every death; after five in a row without a segment that was accepted nothing
+    is gained by going on, and :meth:`run` raises.
 
     Args:
         tasks: One per worker.
@@ -47,7 +50,7 @@ class Supervisor:
     """
 
     def __init__(self, tasks: list[Task], fleet: Fleet) -> None:
-        self._workers = [_Worker(task) for task in tasks]
+        self._workers = [_Worker(task, Watch("", TIMEOUT_S, _warn)) for task in tasks]
         self._fleet = fleet
 
     def run(self, stopped: threading.Event) -> None:
@@ -61,92 +64,83 @@ class Supervisor:
                 for index, worker in enumerate(self._workers):
                     self._look_after(index, worker)
                 stopped.wait(_POLL_S)
-        finally:
-            self._stop()
+        except BaseException:
+            self._stop(_FAILED_S)
+            raise
+        self._stop(_STOP_S)
 
     def _look_after(self, index: int, worker: _Worker) -> None:
-        now_s = time.monotonic()
-        if worker.process is None:
-            if now_s >= worker.start_at_s:
+        child = worker.child
+        if child is None:
+            if time.monotonic() >= worker.start_at_s:
                 self._start(index, worker)
             return
-        code = worker.process.poll()
+        doing = child.doing()
+        cause = worker.watch.overdue(doing)
+        code = child.kill() if cause else child.ended()
         if code is None:
             return
-        self._bury(index, worker)
-        words = worker.last_words[-1] if worker.last_words else "no last words"
-        if code == EXIT_HOPELESS:
-            raise A2SError(words)
-        early = now_s - worker.started_s < _CRASH_LOOP_LIFE_S
-        worker.deaths_in_a_row = worker.deaths_in_a_row + 1 if early else 1
-        if worker.deaths_in_a_row >= _CRASH_LOOP_DEATHS:
+        worker.child = None
+        self._fleet.ended(index)
+        cause = worker.error or cause or death_of(worker.watch.env_id, code, doing)
+        if worker.is_hopeless:
+            raise A2SError(cause)
+        self._replace(index, worker, cause)
+
+    def _replace(self, index: int, worker: _Worker, cause: str) -> None:
+        worker.deaths_in_a_row = 1 if worker.accepted else worker.deaths_in_a_row + 1
+        if worker.deaths_in_a_row >= _DEATHS_WITHOUT_WORK:
             raise A2SError(
-                f"worker {index} died {_CRASH_LOOP_DEATHS} times within {_CRASH_LOOP_LIFE_S:.0f} s "
-                f"of its start (exit code {code}); last words: {words}"
+                f"worker {index} died {_DEATHS_WITHOUT_WORK} times in a row before it had done "
+                f"any work; last: {cause}"
             )
         shortest_s, longest_s = _BACK_OFF_S
         back_off_s = min(shortest_s * 2 ** (worker.deaths_in_a_row - 1), longest_s)
-        worker.start_at_s = now_s + back_off_s
+        worker.start_at_s = time.monotonic() + back_off_s
+        worker.task = replace(worker.task, cause=cause)
         self._fleet.restarted(index)
-        logger.warning(
-            "worker died worker=%d exit_code=%d restart_in_s=%.1f", index, code, back_off_s
-        )
+        logger.warning("worker %d is replaced in %.1f s: %s", index, back_off_s, cause)
 
     def _start(self, index: int, worker: _Worker) -> None:
-        worker.process = subprocess.Popen(
-            [sys.executable, "-m", "a2s.actors.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+        worker.accepted, worker.error, worker.is_hopeless = 0.0, "", False
+        worker.child = Child(
+            "a2s.actors.worker",
+            worker.task.to_map(),
+            lambda report: self._take(index, worker, report),
+            _relay(index),
         )
-        worker.started_s = time.monotonic()
-        worker.last_words = []
-        assert worker.process.stdin is not None
-        worker.process.stdin.write(worker.task.to_json() + "\n")
-        worker.process.stdin.flush()
-        worker.reader = threading.Thread(
-            target=self._read, args=(index, worker, worker.process.stdout), daemon=True
-        )
-        worker.reader.start()
-        threading.Thread(
-            target=_relay, args=(worker.process.stderr, worker.last_words), daemon=True
-        ).start()
 
-    def _read(self, index: int, worker: _Worker, lines: IO[str]) -> None:
-        for line in lines:
-            self._fleet.update(index, json.loads(line))
+    def _take(self, index: int, worker: _Worker, report: Report) -> None:
+        if "counts" in report:
+            self._fleet.update(index, report["counts"])
+            worker.accepted = report["counts"]["counters"]["acks"].get("accepted", 0.0)
+        if "env_id" in report:
+            worker.watch.env_id, worker.watch.timeout_s = report["env_id"], report["timeout_s"]
+        if "error" in report:
+            worker.error, worker.is_hopeless = report["error"]["message"], report["is_hopeless"]
 
-    def _bury(self, index: int, worker: _Worker) -> None:
-        """Read what a dead worker still said, and keep what it counted."""
-        assert worker.process is not None
-        assert worker.reader is not None
-        worker.reader.join()
-        assert worker.process.stdin is not None
-        worker.process.stdin.close()
-        worker.process = None
-        self._fleet.ended(index)
-
-    def _stop(self) -> None:
-        living = [(i, w) for i, w in enumerate(self._workers) if w.process is not None]
-        for _, worker in living:
-            assert worker.process is not None
-            assert worker.process.stdin is not None
-            worker.process.stdin.close()
-        deadline_s = time.monotonic() + _STOP_S
-        for index, worker in living:
-            assert worker.process is not None
-            try:
-                worker.process.wait(timeout=max(0.1, deadline_s - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                logger.warning("worker does not stop, killed worker=%d", index)
-                worker.process.kill()
-                worker.process.wait()
-            self._bury(index, worker)
+    def _stop(self, timeout_s: float) -> None:
+        """End all workers: together, so that the slowest one sets the time."""
+        living = [w.child for w in self._workers if w.child is not None]
+        for child in living:
+            child.release()
+        deadline_s = time.monotonic() + timeout_s
+        for child in living:
+            child.stop(max(0.1, deadline_s - time.monotonic()))
+        for index, worker in enumerate(self._workers):
+            if worker.child is not None:
+                self._fleet.ended(index)
 
 
-def _relay(lines: IO[str], last_words: list[str]) -> None:
-    """Pass a worker's words on, and remember the last ones."""
-    for line in lines:
-        sys.stderr.write(line)
-        last_words[:] = [*last_words[-4:], line.strip()]
+def _warn(words: str) -> None:
+    logger.warning("%s", words)
+
+
+def _relay(index: int) -> Callable[[str], None]:
+    """Pass a worker's words on, with its number before them."""
+
+    def write(line: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it; the work goes on
+            sys.stderr.write(f"worker {index}: {line}\n")
+
+    return write

@@ -1,28 +1,21 @@
-"""The process of one actor, started by the supervisor: ``python -m a2s.actors.worker``.
+"""The process of one actor, started by the supervisor: ``python -m a2s.actors.worker``."""
 
-It reads its task as one line of JSON from standard input, writes snapshots of its counts as lines
-of JSON to standard output, and stops when standard input ends: so it also stops when its
-supervisor is killed. Exit code 2 means that starting it again is of no use.
-"""
-
-import json
 import logging
 import signal
 import sys
-import threading
+import traceback
 import uuid
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from typing import TextIO
+from typing import Any
 
 from a2s.actors.actor import Actor
+from a2s.actors.children import told
 from a2s.actors.metrics import Tally
-from a2s.protocol.errors import A2SError, RefusedError, UsageError
+from a2s.actors.parent import Parent
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
 from a2s.protocol.zenoh_bus import ZenohBus
-
-EXIT_FAILED = 1
-EXIT_HOPELESS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,72 +24,80 @@ class Task:
 
     Attributes:
         label: Place among the workers, for names and messages, for example ``host-0``.
+        worker: The number in it.
         connect: Endpoint of the learner.
         run: Name of the run.
         num_envs: Environments to step; ``None`` leaves it to the learner.
         spool_steps: Steps that may wait for an answer.
+        cause: Why the process before it had to be replaced; empty if none had.
     """
 
     label: str
+    worker: int
     connect: str
     run: str
     num_envs: int | None
     spool_steps: int
+    cause: str = ""
 
-    def to_json(self) -> str:
-        """Write it as one line."""
-        return json.dumps(asdict(self))
+    def to_map(self) -> dict[str, Any]:
+        """Give it as plain values."""
+        return asdict(self)
 
 
-def main() -> int:
-    """Run one actor until standard input ends."""
+def main() -> None:
+    """Run one actor until the supervisor lets it stop; then end this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor hears Ctrl-C and stops us
+    parent = Parent(sys.argv[1:])
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
-    task = Task(**json.loads(sys.stdin.readline()))
-    tally = Tally()
-    stopped = threading.Event()
-    threading.Thread(target=_stop_at_end_of, args=(sys.stdin, stopped), daemon=True).start()
+    task, tally = Task(**parent.task), Tally()
 
     def report() -> None:
-        try:
-            sys.stdout.write(json.dumps(tally.snapshot()) + "\n")
-            sys.stdout.flush()
-        except BrokenPipeError:
-            stopped.set()
+        parent.report({"counts": tally.snapshot()})
+
+    def on_environment(config: EnvConfig) -> None:
+        parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
+
+    def on_failure(error: A2SError) -> None:
+        if not parent.stopped.is_set():
+            parent.report({"error": told(error), "is_hopeless": _is_hopeless(error, task, tally)})
 
     report()
+    code = 0
     try:
-        _act(task, tally, stopped, report)
-    except A2SError as error:
-        if stopped.is_set():
-            return 0
-        sys.stderr.write(f"actor {task.label}: {error}\n")
-        return EXIT_HOPELESS if isinstance(error, RefusedError | UsageError) else EXIT_FAILED
-    finally:
-        report()
-    return 0
+        with closing(ZenohBus.connect(task.connect, lambda: not parent.stopped.is_set())) as bus:
+            Actor(
+                name=f"{task.label}-{uuid.uuid4().hex[:8]}",
+                worker=task.worker,
+                cause=task.cause,
+                bus=bus,
+                run=task.run,
+                num_envs=task.num_envs,
+                spool_steps=task.spool_steps,
+                tally=tally,
+                activity=parent.activity,
+                stopped=parent.stopped,
+                on_environment=on_environment,
+                on_failure=on_failure,
+                report=report,
+            ).run()
+    except BaseException as error:  # noqa: BLE001  # whatever it is, this process has to end
+        code = 0 if parent.stopped.is_set() else 1
+        if not isinstance(error, A2SError):
+            traceback.print_exc()  # a fault of ours: all of it is of use
+            error = FaultyEnvironmentError(f"{type(error).__name__}: {error}")
+        on_failure(error)  # once more, if the actor has told it; it is the same
+    report()
+    parent.leave(code)
 
 
-def _act(task: Task, tally: Tally, stopped: threading.Event, report: Callable[[], None]) -> None:
-    name = f"{task.label}-{uuid.uuid4().hex[:8]}"
-    with closing(ZenohBus.connect(task.connect, lambda: not stopped.is_set())) as bus:
-        Actor(
-            name=name,
-            bus=bus,
-            run=task.run,
-            num_envs=task.num_envs,
-            spool_steps=task.spool_steps,
-            tally=tally,
-            stopped=stopped,
-            report=report,
-        ).run()
-
-
-def _stop_at_end_of(stream: TextIO, stopped: threading.Event) -> None:
-    while stream.readline():
-        pass
-    stopped.set()
+def _is_hopeless(error: A2SError, task: Task, tally: Tally) -> bool:
+    """Whether it would come again, so that starting another process is of no use."""
+    if isinstance(error, FaultyEnvironmentError):
+        never_worked = not task.cause and not tally.total("env_steps")
+        return error.by_mistake or never_worked
+    return isinstance(error, RefusedError | UsageError)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,15 +11,18 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import tomlkit
 
 from a2s.learner import off_policy_presets, presets
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
+from a2s.learner.numerals import whole
+from a2s.learner.other_names import OFF_POLICY, ON_POLICY, RUN, meant
 from a2s.learner.presets import Choice
-from a2s.protocol.errors import UsageError, nearest
+from a2s.protocol.env_config import TIMEOUT_S, EnvConfig, kwargs_of, wrapper_of
+from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Clock
 
@@ -28,11 +31,16 @@ Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
-_RANGES: dict[str, tuple[int, float]] = {
+_LISTS = ("env_kwargs", "wrappers", "info_metrics")
+_RANGES: dict[str, tuple[float, float]] = {
     "total_steps": (1, math.inf),
     "seed": (0, 2**63 - 1),
     "n": (1, math.inf),
     "envs": (1, 4096),
+    "action_repeat": (1, 1000),
+    "frame_stack": (1, 1000),
+    "max_episode_steps": (0, 2**31 - 1),
+    "env_timeout_s": (0.001, 1e9),
     "checkpoint_every_updates": (1, math.inf),
     "keep_policy_every_updates": (0, math.inf),
     "threads": (1, math.inf),
@@ -50,7 +58,21 @@ class RunConfig:
     run: str = "default"
     """Name of the run, a part of every key on the network."""
     env: str = "Hopper-v5"
-    """Gymnasium id, or module:Id-v0."""
+    """Gymnasium id, module:Id-v0, module:Class, or FILE.py: with either."""
+    env_kwargs: tuple[str, ...] = ()
+    """KEY=VALUE of its constructor; a value is JSON, or else a text."""
+    wrappers: tuple[str, ...] = ()
+    """module:Class, or module:Class={JSON}, the innermost first."""
+    action_repeat: int = 1
+    """Steps of the environment for each action."""
+    frame_stack: int = 1
+    """Latest observations that a policy sees at once."""
+    max_episode_steps: int = 0
+    """Steps of the environment after which an episode is cut; 0: its own limit."""
+    env_timeout_s: float = TIMEOUT_S
+    """Seconds in which a call into an environment has to return."""
+    info_metrics: tuple[str, ...] = ()
+    """Keys of info whose numbers are kept with each episode; is_success always is."""
     variant: Variant = "on-policy"
     """On-policy (algorithm 1 of the paper) or off-policy (algorithm 2)."""
     algo: Algo = "a2s"
@@ -78,21 +100,39 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         """Check every value against its type and range."""
-        hints = get_type_hints(type(self))
-        for name, hint in hints.items():
-            value, choices = getattr(self, name), get_args(hint)
-            if choices and value not in choices:
-                raise UsageError(f"{name}: found {value!r}{nearest(str(value), choices)}")
-            if not choices and type(value) is not hint:
-                raise UsageError(f"{name}: found {value!r}, expected {hint.__name__}")
+        for name, hint in get_type_hints(type(self)).items():
+            _require_type(name, getattr(self, name), hint)
         Keys(self.run)
         for name, (low, high) in _RANGES.items():
             if not low <= (number := getattr(self, name)) <= high:
                 span = f"at least {low}" if high == math.inf else f"{low} to {high}"
                 raise UsageError(f"{name}: found {number}, expected {span}")
+        self.env_config()
         name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
         if (found := getattr(self, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with variant {self.variant}")
+
+    def env_config(self) -> EnvConfig:
+        """How the environment is made.
+
+        Raises:
+            UsageError: An argument or a wrapper cannot be read.
+        """
+        for setting in self.wrappers:
+            wrapper_of(setting)
+        try:
+            return EnvConfig(
+                env_id=self.env,
+                kwargs=kwargs_of(self.env_kwargs),
+                wrappers=self.wrappers,
+                action_repeat=self.action_repeat,
+                frame_stack=self.frame_stack,
+                max_episode_steps=self.max_episode_steps,
+                timeout_s=self.env_timeout_s,
+                info_metrics=self.info_metrics,
+            )
+        except MalformedMessageError as error:
+            raise UsageError(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +145,7 @@ class Configuration:
     def to_toml(self) -> str:
         """Write everything, so that :func:`read` gives the same again."""
         document = tomlkit.document()
-        document["run"] = asdict(self.run)
+        document["run"] = {k: _plain(v) for k, v in asdict(self.run).items()}
         document["hyper"] = {k: _plain(v) for k, v in asdict(self.hyper).items()}
         return tomlkit.dumps(document)
 
@@ -155,7 +195,7 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     valid = {field.name for field in fields(RunConfig)}
     for name in run:
         if name not in valid:
-            raise UsageError(f"{path}: unknown option {name!r} in [run]{nearest(name, valid)}")
+            raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
     return run, hyper
 
 
@@ -163,16 +203,17 @@ def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> N
     """Check the names in the table ``hyper`` of a file.
 
     Raises:
-        UsageError: One is none of this variant; the nearest is named.
+        UsageError: One is none of this variant; the one that is meant is named.
     """
     if variant not in get_args(Variant):
         return  # and that is what is wrong
-    kind = OffPolicyHyper if variant == "off-policy" else OnPolicyHyper
-    valid = {field.name for field in fields(kind)}
+    off = variant == "off-policy"
+    valid = {field.name for field in fields(OffPolicyHyper if off else OnPolicyHyper)}
+    others = OFF_POLICY if off else ON_POLICY
     for name in hyper:
         if name not in valid:
             raise UsageError(
-                f"{path}: unknown hyperparameter {name!r} in [hyper]{nearest(name, valid)}"
+                f"{path}: unknown hyperparameter {name!r} in [hyper]{meant(name, valid, others)}"
             )
 
 
@@ -182,6 +223,7 @@ def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configu
     Raises:
         UsageError: A name or a value is impossible.
     """
+    options = {name: _exact(name, value) for name, value in options.items()}
     if options.get("variant") == "off-policy":
         run = RunConfig(**{**_OFF_POLICY, **options})
         made = off_policy_presets.off_policy(run.preset, hyper, run.total_steps)
@@ -205,9 +247,34 @@ def parse_settings(settings: list[str]) -> dict[str, object]:
     return parsed
 
 
+def _exact(name: str, value: object) -> object:
+    """A file says 1e6 where a whole number is wanted, and has lists where we have tuples."""
+    if name in _LISTS and isinstance(value, list):
+        return tuple(value)
+    if not isinstance(value, float) or get_type_hints(RunConfig).get(name) is not int:
+        return value
+    try:
+        return whole(value)
+    except ValueError:
+        raise UsageError(f"{name}: found {value}, expected a whole number") from None
+
+
 def _plain(value: object) -> object:
     return list(value) if isinstance(value, tuple) else value
 
 
 def _toml(value: object) -> str:
     return tomlkit.item(_plain(value)).as_string()
+
+
+def _require_type(name: str, value: object, hint: Any) -> None:
+    if get_origin(hint) is tuple:
+        if type(value) is not tuple or not all(isinstance(v, str) for v in value):
+            raise UsageError(f"{name}: found {value!r}, expected a list of texts")
+        return
+    choices = get_args(hint)
+    if choices and value not in choices:
+        raise UsageError(f"{name}: found {value!r}{nearest(str(value), choices)}")
+    if not choices and type(value) is not hint and (hint, type(value)) != (float, int):
+        expected = {int: "a whole number", float: "a number"}.get(hint, "text")
+        raise UsageError(f"{name}: found {value!r}, expected {expected}")

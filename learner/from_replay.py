@@ -24,6 +24,7 @@ from a2s.learner.memory import keep_freed_memory
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.off_policy_export import export
 from a2s.learner.off_policy_row import SHOWN, RoundMeans
+from a2s.learner.policy_metadata import policy_metadata
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Standing, summarise
 from a2s.learner.run_directory import RunDirectory, write_summary
@@ -77,6 +78,7 @@ class FromReplay:
         hyper = configuration.hyper
         assert isinstance(hyper, OffPolicyHyper)
         self._run, self._hyper = configuration.run, hyper
+        self._metadata = policy_metadata(self._run, spaces)
         if most < hyper.batch_rows:
             raise UsageError(
                 f"replay: found {most} transitions at most, expected a batch of "
@@ -198,7 +200,7 @@ class FromReplay:
     def _graph(self) -> bytes:
         warms_up = self._at.updates == 0
         suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=True)
-        return export(suggester, self._at.updates, {"env": self._run.env, "algo": self._run.algo})
+        return export(suggester, self._at.updates, self._metadata)
 
     def _checkpoint(self) -> None:
         self._directory.policy("latest", self._graph())

@@ -4,12 +4,15 @@ The handlers of the bus call in on their threads; the learner's loop waits in
 :meth:`Gather.next_batch`. One lock guards all of it.
 """
 
+import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from a2s.learner.ledger import Accounts, Ledger
 from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.newcomers import Newcomers
 from a2s.learner.roster import Member, Roster
 from a2s.learner.terms import Terms
 from a2s.protocol.errors import RunDirectoryError
@@ -24,9 +27,13 @@ from a2s.protocol.messages import (
     Welcome,
 )
 
+logger = logging.getLogger(__name__)
+
 _WAIT_S = 0.5
 _SILENT_S = 30.0
 _PATIENCE = 10
+_MOST_REMEMBERED = 4096
+_WORDS = 500  # of what an actor tells in its own
 
 
 class Gather:
@@ -57,6 +64,9 @@ class Gather:
         self._keep = keep
         self._hold_s = hold_s
         self._roster = Roster(terms.seed, terms.generation)
+        self._newcomers = Newcomers()
+        self._dropped: dict[str, int] = {}
+        self._dropped_before = 0
         self._changed = threading.Condition()
         self._notice: Notice | None = None
         self._batch_steps = 1
@@ -71,8 +81,11 @@ class Gather:
     def hello(self, hello: Hello) -> Welcome | Refusal:
         """Answer a hello; one with spaces joins."""
         terms = self._terms
-        slot, seed = -1, 0
-        if hello.spaces is not None:
+        slot, seed = -1, terms.seed_before_joining
+        if hello.spaces is None:
+            with self._changed:
+                self._newcomers.hear(hello.actor, time.monotonic())
+        else:
             difference = terms.difference(hello)
             if difference:
                 return self.refuse("hello", "environment", difference)
@@ -81,9 +94,14 @@ class Gather:
                 member, seed = self._roster.join(hello.actor, hello.num_envs, time.monotonic())
                 slot = member.slot
                 if is_new:
+                    self._newcomers.forget(hello.actor)
                     self._is_complete |= len(self._roster.members) >= terms.num_actors
                     self._metrics.joins.inc()
                     self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
+                    if hello.cause:
+                        reason = _line(hello.cause)
+                        self._on_event("restart", actor=hello.actor, slot=slot, reason=reason)
+                        logger.warning("actor %s was replaced: %s", hello.actor, reason)
                 self._changed.notify_all()
         return Welcome(
             run=terms.run,
@@ -94,6 +112,7 @@ class Gather:
             clock=terms.clock,
             slot=slot,
             seed=seed,
+            env=terms.env,
         )
 
     def segment(self, segment: Segment) -> Ack:
@@ -139,11 +158,21 @@ class Gather:
     def status(self, status: ActorStatus) -> None:
         """Remember an actor's own account."""
         with self._changed:
+            now_s = time.monotonic()
+            status = replace(status, doing=_line(status.doing), trouble=_line(status.trouble))
             member = self._roster.find(status.actor)
             if member is None:
+                if status.leaving:
+                    self._newcomers.forget(status.actor)
+                elif not self._roster.was_here(status.actor):
+                    self._newcomers.hear(status.actor, now_s, status.doing)
                 return
+            if member.is_news(status):
+                self._on_event("trouble", actor=status.actor, slot=member.slot, what=status.trouble)
+                logger.warning("actor %s: %s", status.actor, status.trouble)
+            self._count_dropped(status)
             member.status = status
-            member.heard_s = time.monotonic()
+            member.heard_s = now_s
             if status.leaving:
                 self._leave(status.actor, "clean")
 
@@ -201,6 +230,12 @@ class Gather:
     def accepted_steps(self) -> int:
         """Environment steps accepted in the run so far."""
         return self._ledger.accepted_steps
+
+    @property
+    def dropped_steps(self) -> int:
+        """Steps whose numbers could not be used, as actors told since this learner started."""
+        with self._changed:
+            return self._dropped_before + sum(self._dropped.values())
 
     @property
     def num_envs(self) -> int:
@@ -288,7 +323,7 @@ class Gather:
             return "the first weights"
         if not self._is_complete:
             more = self._terms.num_actors - len(self._roster.members)
-            return f"{more} more of {self._terms.num_actors} actors: start `a2s actor`"
+            return f"{more} more of {self._terms.num_actors} actors: {self._coming()}"
         is_async = self._terms.clock == "async"
         if is_async and self._pending_steps >= self._batch_steps:
             return ""
@@ -297,22 +332,45 @@ class Gather:
         members = [m for m in present if now_s - m.heard_s < _SILENT_S]
         if not members:
             silent = f"none of {len(present)} was heard for {_SILENT_S:.0f} s"
-            return f"actors: {silent if present else 'none is present'}, start `a2s actor`"
+            return f"actors: {silent if present else 'none is present'}, {self._coming()}"
         if is_async:
-            return f"{self._batch_steps - self._pending_steps} more steps"
-        late = [m.slot for m in members if not all(p.meets(notice) for p in m.progress)]
-        done_s = [m.done_s - self._published_s for m in members if m.slot not in late]
+            return f"{self._batch_steps - self._pending_steps} more steps{_doing(members)}"
+        late = [m for m in members if not all(p.meets(notice) for p in m.progress)]
+        done_s = [m.done_s - self._published_s for m in members if m not in late]
         if late and not (done_s and self._is_overdue(now_s, max(done_s))):
-            return f"segments of version {notice.version} from actors {late}"
+            slots = [m.slot for m in late]
+            return f"segments of version {notice.version} from actors {slots}{_doing(late)}"
         return "" if self._pending else "segments"
+
+    def _count_dropped(self, status: ActorStatus) -> None:
+        self._dropped[status.actor] = status.dropped_steps
+        if len(self._dropped) > _MOST_REMEMBERED:
+            self._dropped_before += self._dropped.pop(next(iter(self._dropped)))
+
+    def _coming(self) -> str:
+        return self._newcomers.describe(time.monotonic()) or "start `a2s actor`"
 
     def _is_overdue(self, now_s: float, others_s: float) -> bool:
         """Whether those who are late have had ten times the time that all others needed."""
         return now_s - self._published_s > max(_SILENT_S, _PATIENCE * others_s)
 
     def _leave(self, actor: str, reason: str) -> None:
+        self._newcomers.forget(actor)
         member = self._roster.leave(actor)
         if member is not None:
             self._metrics.leaves.labels(reason=reason).inc()
             self._on_event("leave", actor=actor, slot=member.slot, reason=reason)
             self._changed.notify_all()
+
+
+def _line(words: str) -> str:
+    """Make one short line of what a peer says: it goes to logs and terminals."""
+    return "".join(c if c.isprintable() else " " for c in words[:_WORDS])
+
+
+def _doing(members: list[Member]) -> str:
+    """Say which call into an environment keeps the first of some members, if one does."""
+    for member in members:
+        if member.status is not None and member.status.doing:
+            return f", actor {member.slot}: {member.status.doing}"
+    return ""

@@ -3,11 +3,12 @@
 import logging
 import math
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from a2s.learner import checkpoint
@@ -17,10 +18,11 @@ from a2s.learner.learning import Outcome
 from a2s.learner.ledger import Ledger
 from a2s.learner.memory import keep_freed_memory
 from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.policy_metadata import policy_metadata
 from a2s.learner.progress import View
 from a2s.learner.record import EpisodeRecord
 from a2s.learner.report import Report, Standing, summarise
-from a2s.learner.run_directory import RunDirectory, write_summary
+from a2s.learner.run_directory import RunDirectory, column_of, write_summary
 from a2s.learner.service import Service
 from a2s.learner.terms import Terms
 from a2s.learner.variants import make_learning
@@ -42,6 +44,7 @@ class Learner:
     Args:
         configuration: Of the run.
         spaces: Of its environment.
+        layout: Names and sizes of the parts of an observation, in the order of its numbers.
         bus: A connection on which actors find it.
         path: Directory of the run.
         metrics: What it shows.
@@ -57,6 +60,7 @@ class Learner:
         *,
         configuration: Configuration,
         spaces: Spaces,
+        layout: Sequence[tuple[str, int]],
         bus: Bus,
         path: Path,
         metrics: LearnerMetrics,
@@ -73,6 +77,12 @@ class Learner:
         if resume:
             tensors, state = checkpoint.load(path / "checkpoints", kind=self._kind)
             saved = tensors, state["algorithm"]
+            offset = state.get("obs_offset")
+            kept = None if offset is None else np.array(offset, dtype=np.float32)
+            spaces = replace(spaces, obs_offset=kept)
+        self._offset = spaces.obs_offset
+        self._metadata = policy_metadata(self._run, spaces, layout)
+        self._metric_names = self._run.env_config().metric_names
         self._ledger = Ledger(path / "segments.log")
         self._learning = make_learning(configuration, spaces, path, self._ledger, metrics, saved)
         columns = (*POSITION, *self._learning.columns)
@@ -102,6 +112,7 @@ class Learner:
             most_suggested=self._learning.most_suggested,
             seed=self._run.seed,
             num_actors=self._run.n,
+            env=self._run.env_config(),
         )
         self._gather = Gather(
             terms,
@@ -169,9 +180,15 @@ class Learner:
         for slot, segment in batch:
             self._at.env_steps += segment.num_steps
             if segment.ends_episode:
-                self._record.add(segment.episode_return, segment.episode_length)
+                metrics = {
+                    column_of(m.name): m.value
+                    for m in segment.metrics
+                    if m.name in self._metric_names
+                }
+                self._record.add(segment.episode_return, segment.episode_length, metrics)
                 self._metrics.episodes.inc()
                 self._directory.episode(
+                    metrics,
                     **{
                         "env_steps": self._at.env_steps,
                         "actor": slot,
@@ -179,7 +196,7 @@ class Learner:
                         "return": f"{segment.episode_return:.9g}",
                         "length": segment.episode_length,
                         "terminated": int(segment.terminated),
-                    }
+                    },
                 )
 
     def _learn(self, segments: list[Segment]) -> Outcome:
@@ -236,8 +253,7 @@ class Learner:
             self._next_batch(proceed)
 
     def _export(self, version: int, *, to_keep: bool = False) -> bytes:
-        metadata = {"env": self._run.env, "algo": self._run.algo}
-        return self._learning.graph(version, self._progress(), metadata, to_keep=to_keep)
+        return self._learning.graph(version, self._progress(), self._metadata, to_keep=to_keep)
 
     def _to_keep(self) -> bytes:
         return self._export(max(self._at.version, self._first_version), to_keep=True)
@@ -265,7 +281,8 @@ class Learner:
         self._metrics.epoch.set(self._at.epoch)
 
     def _write(self, outcome: Outcome) -> None:
-        self._metrics.show_episodes(self._record.returns, self._record.lengths)
+        record = self._record
+        self._metrics.show_episodes(record.returns, record.lengths, record.mean_metrics)
         position = (
             self._learning.updates, round(self._at.wall_s(), 3), self._at.env_steps,
             self._at.version, self._at.epoch,
@@ -292,6 +309,7 @@ class Learner:
             "epoch": self._at.epoch,
             "best_recent": self._at.best_recent,
             "wall_s": self._at.wall_s(),
+            "obs_offset": None if self._offset is None else self._offset.tolist(),
         }
         with self._metrics.checkpoint_seconds.time():
             folder, updates = self._directory.path / "checkpoints", self._learning.updates
@@ -304,8 +322,8 @@ class Learner:
         self._at.best_recent, self._at.worked_s = state["best_recent"], state["wall_s"]
         self._at.updates = self._learning.updates
         self._at.rows = state["rows"]
-        for wall_s, episode_return, length in self._directory.read_episodes():
-            self._record.add(episode_return, length)
+        for wall_s, episode_return, length, metrics in self._directory.read_episodes():
+            self._record.add(episode_return, length, metrics)
             self._at.worked_s = max(self._at.worked_s, wall_s)
         self._directory.keep_updates(self._at.rows)
 
@@ -317,6 +335,7 @@ class Learner:
             self._gather.accounts(),
             self._directory.path,
             self._latest,
+            self._gather.dropped_steps,
         )
         self._directory.event("end", env_steps=self._at.env_steps)
         write_summary(self._directory.path, summary)

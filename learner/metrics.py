@@ -67,6 +67,9 @@ class LearnerMetrics:
         self.length_mean = self._unknown(
             "episode_length_mean_steps", "Mean length of the last 100 episodes."
         )
+        self.episode_info = self._gauge(
+            "episode_info_mean", "What environments told of the last 100 episodes.", "metric"
+        )
         self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
         self.loss = self._gauge("loss", "Losses of the latest update.", "loss")
         self.kl = self._unknown("kl", "KL divergence of the latest update, nats.")
@@ -172,8 +175,12 @@ class LearnerMetrics:
         self.temperature.set(row["temperature"])
         self.q_mean.set(row["q_mean"])
 
-    def show_episodes(self, returns: Sequence[float], lengths: Sequence[int]) -> None:
+    def show_episodes(
+        self, returns: Sequence[float], lengths: Sequence[int], info: Mapping[str, float]
+    ) -> None:
         """Show the latest episodes."""
+        for name, mean in info.items():
+            self.episode_info.labels(metric=name).set(mean)
         if returns:
             self.return_mean.set(sum(returns) / len(returns))
             self.return_min.set(min(returns))

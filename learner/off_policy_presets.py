@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper, Precision
-from a2s.learner.presets import Choice, parse_all
+from a2s.learner.other_names import OFF_POLICY
+from a2s.learner.overrides import parse_all
+from a2s.learner.presets import Choice
 from a2s.protocol.errors import UsageError, nearest
 
 _PAPER = "paper, table 3"
@@ -169,4 +171,5 @@ def off_policy(
         UsageError: A preset or name is unknown, or a value is out of range.
     """
     values = {name: choice.value for name, choice in choices(preset, total_steps).items()}
-    return OffPolicyHyper(**values | parse_all(overrides, _FIELDS))  # type: ignore[arg-type]
+    given = parse_all(overrides, _FIELDS, OFF_POLICY)
+    return OffPolicyHyper(**values | given)  # type: ignore[arg-type]

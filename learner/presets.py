@@ -5,9 +5,11 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple, get_args, get_origin
+from typing import Any, NamedTuple
 
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
+from a2s.learner.other_names import ON_POLICY
+from a2s.learner.overrides import parse_all
 from a2s.protocol.errors import UsageError, nearest
 
 
@@ -238,7 +240,7 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
         UsageError: A preset, algorithm or name is unknown, or a value is out of range.
     """
     values = {name: choice.value for name, choice in choices(preset, algo).items()}
-    given = parse_all(overrides, _FIELDS)
+    given = parse_all(overrides, _FIELDS, ON_POLICY)
     for name in ("suggestions", "distil") if algo == "a2c" else ():
         if name in given and given[name] != _A2C[name].value:
             raise UsageError(
@@ -250,53 +252,3 @@ def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPoli
 def recovery_of(preset: str, *, on: bool) -> object:
     """The rule of recovery that a preset has for a2s, for a2c with the stabiliser; or ``off``."""
     return choices(preset, "a2s")["recovery"].value if on else "off"
-
-
-def parse_all(overrides: Mapping[str, object], types: Mapping[str, Any]) -> dict[str, object]:
-    """Values for hyperparameters, as `parse` reads each.
-
-    Raises:
-        UsageError: A name is unknown, the nearest is named; or a text cannot be read.
-    """
-    for name in overrides:
-        if name not in types:
-            raise UsageError(f"unknown hyperparameter {name!r}{nearest(name, types)}")
-    return {name: parse(name, given, types) for name, given in overrides.items()}
-
-
-def parse(name: str, given: object, types: Mapping[str, Any] = _FIELDS) -> object:
-    """A value for a hyperparameter, from text or from a configuration file.
-
-    Args:
-        name: Of the hyperparameter.
-        given: Of the right type, or text.
-        types: Of all hyperparameters, by name.
-
-    Raises:
-        UsageError: The text cannot be read as the type of this hyperparameter.
-    """
-    kind = types[name]
-    try:
-        if get_origin(kind) is tuple:
-            return _parse_sizes(given)
-        if isinstance(given, str) and get_args(kind) == ():
-            return _parse_bool(given) if kind is bool else kind(given)
-    except (TypeError, ValueError):
-        expected = "integers such as 64,64" if get_origin(kind) is tuple else kind.__name__
-        raise UsageError(f"{name}: found {given!r}, expected {expected}") from None
-    return float(given) if kind is float and type(given) is int else given
-
-
-def _parse_sizes(given: object) -> tuple[int, ...]:
-    if isinstance(given, str):
-        return tuple(int(part) for part in given.strip("[]() ").replace("-", ",").split(","))
-    if isinstance(given, list | tuple):
-        return tuple(given)
-    raise TypeError
-
-
-def _parse_bool(given: str) -> bool:
-    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-    if given.lower() not in words:
-        raise ValueError
-    return words[given.lower()]

@@ -3,7 +3,8 @@
 import sys
 import time
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
 from rich.console import Console, Group, RenderableType
@@ -11,6 +12,8 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
+
+from a2s.learner.numerals import written
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _CURVE_POINTS = 60
@@ -38,6 +41,7 @@ class Progress:
         waiting_for: What the learner waits for; empty while it learns.
         wall_s: Seconds since the run began.
         kl: KL divergence of the latest update; ``None`` while waiting.
+        info: Means of what environments told of the last 100 episodes, by name.
     """
 
     env_steps: int
@@ -53,6 +57,7 @@ class Progress:
     waiting_for: str
     wall_s: float
     kl: float | None
+    info: Mapping[str, float] = field(default_factory=dict)
 
 
 class View(Protocol):
@@ -161,6 +166,8 @@ class LiveView:
             f"version {progress.weights_version}",
             "" if progress.kl is None else f"KL {progress.kl:.4f}",
         )
+        if progress.info:
+            table.add_row(*(f"{name} {mean:.3g}" for name, mean in list(progress.info.items())[:3]))
         lines: list[RenderableType] = [Text(self._title, style="bold"), bar, table]
         lines.append(Text(sparkline(self._curve)))
         if progress.waiting_for and waited_s > _PATIENCE_S:
@@ -188,6 +195,7 @@ def describe(progress: Progress, rate: float) -> str:
         f"episodes={progress.episodes} version={progress.weights_version} "
         f"recoveries={progress.recoveries} actors={progress.actors}"
     )
+    line += "".join(f" {name}={mean:.3g}" for name, mean in progress.info.items())
     return f"{line} waiting_for={progress.waiting_for!r}" if progress.waiting_for else line
 
 
@@ -207,7 +215,7 @@ def sparkline(points: list[float]) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:,.1f}"
+    return "-" if value is None else written(value)
 
 
 def _duration(seconds: float) -> str:

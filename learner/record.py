@@ -1,7 +1,10 @@
 """What the episodes of a run amount to, so far."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from a2s.protocol.messages import MOST_METRICS
 
 _WINDOW = 100
 _RECENT = 10
@@ -16,19 +19,31 @@ class EpisodeRecord:
         best: Greatest return so far.
         returns: Of the last 100 episodes.
         lengths: Of the last 100 episodes, in steps.
+        metrics: What environments told of their last 100 episodes, by name.
     """
 
     count: int = 0
     best: float | None = None
     returns: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     lengths: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    metrics: dict[str, deque[float]] = field(default_factory=dict)
 
-    def add(self, episode_return: float, length: int) -> None:
+    def add(self, episode_return: float, length: int, metrics: Mapping[str, float]) -> None:
         """Count a finished episode."""
         self.count += 1
         self.best = episode_return if self.best is None else max(self.best, episode_return)
         self.returns.append(episode_return)
         self.lengths.append(length)
+        for name, value in metrics.items():
+            if name not in self.metrics and len(self.metrics) < MOST_METRICS:
+                self.metrics[name] = deque(maxlen=_WINDOW)
+            if name in self.metrics:
+                self.metrics[name].append(value)
+
+    @property
+    def mean_metrics(self) -> dict[str, float]:
+        """Means of `metrics`."""
+        return {n: sum(v / len(values) for v in values) for n, values in self.metrics.items()}
 
     @property
     def mean_return(self) -> float | None:

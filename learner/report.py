@@ -85,6 +85,7 @@ class Report:
             waiting_for=self._at.waiting_for,
             wall_s=self._at.wall_s(),
             kl=kl,
+            info=self._record.mean_metrics,
         )
 
     def status(self) -> RunStatus:
@@ -114,6 +115,7 @@ def summarise(
     accounts: Accounts,
     path: Path,
     graph: bytes,
+    dropped_steps: int = 0,
 ) -> dict[str, Any]:
     """For ``summary.json`` and ``--json``.
 
@@ -124,6 +126,7 @@ def summarise(
         accounts: Its segments.
         path: Its directory.
         graph: The final weights.
+        dropped_steps: Steps whose numbers could not be used, as actors told.
     """
     return {
         "run_dir": str(path),
@@ -141,6 +144,8 @@ def summarise(
         "return_best": record.best,
         "recoveries": at.epoch,
         "segments": asdict(accounts),
+        "dropped_transitions": dropped_steps,
+        "info_metrics": record.mean_metrics,
         "weights_sha256": hashlib.sha256(graph).hexdigest(),
         "finished": at.env_steps >= run.total_steps,
     }

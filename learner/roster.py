@@ -36,6 +36,7 @@ class Member:
         progress: Of each of its environments.
         done_s: When its quota was complete, on the same clock.
         status: Its latest own account.
+        said: Its latest trouble that was passed on, and the steps that it had dropped by then.
     """
 
     actor: str
@@ -45,6 +46,7 @@ class Member:
     progress: list[Progress] = field(default_factory=list)
     done_s: float = 0.0
     status: ActorStatus | None = None
+    said: tuple[str, int] = ("", 0)
 
     def __post_init__(self) -> None:
         """Begin with nothing delivered."""
@@ -53,6 +55,15 @@ class Member:
     def begin(self) -> None:
         """Forget what was delivered: new weights are out."""
         self.progress = [Progress() for _ in range(self.num_envs)]
+
+    def is_news(self, status: ActorStatus) -> bool:
+        """Whether to pass its trouble on: the first, and each time that twice as much is lost."""
+        words, dropped_steps = self.said
+        is_more = status.dropped_steps >= 2 * dropped_steps
+        if not status.trouble or status.trouble == words or not is_more:
+            return False
+        self.said = status.trouble, status.dropped_steps
+        return True
 
     def deliver(self, segment: Segment) -> None:
         """Count a segment that was made with the newest weights."""
@@ -113,6 +124,10 @@ class Roster:
             self._joins[slot] = self._joins.get(slot, 0) + 1
         key = (self._seed, self._generation, member.slot, self._joins[member.slot])
         return member, int(np.random.SeedSequence(key).generate_state(1)[0])
+
+    def was_here(self, actor: str) -> bool:
+        """Whether it has left a while ago."""
+        return actor in self._away
 
     def leave(self, actor: str) -> Member | None:
         """Take a member off the roster, but remember it for a while in case it comes back."""

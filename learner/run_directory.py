@@ -2,6 +2,7 @@
 
 import csv
 import fcntl
+import io
 import json
 import os
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.messages import MOST_METRICS
 
 EPISODE_COLUMNS = (
     "wall_s",
@@ -126,6 +128,7 @@ class RunDirectory:
         with _writing(path):
             path.mkdir(parents=True, exist_ok=True)
             self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+            self._metric_names = _names_of_metrics(path / "episodes.csv")
             self._updates = self._open_table("updates.csv", update_columns)
             self._events = (path / "events.jsonl").open("a", buffering=1)
 
@@ -138,33 +141,56 @@ class RunDirectory:
             csv.writer(file).writerow(columns)
         return file
 
-    def episode(self, **row: object) -> None:
-        """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first."""
-        values = [row[name] for name in EPISODE_COLUMNS[1:]]
-        with _writing(self._episodes.name):
-            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values])
+    def episode(self, metrics: Mapping[str, float], **row: object) -> None:
+        """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first.
 
-    def read_episodes(self) -> Iterator[tuple[float, float, int]]:
-        """Yield time, return and length of every episode so far.
+        What environments tell has columns after these, each from the first episode that has it.
+        """
+        added = [name for name in metrics if name not in self._metric_names]
+        if added:
+            self._add_columns(added[: MOST_METRICS - len(self._metric_names)])
+        values = [row[name] for name in EPISODE_COLUMNS[1:]]
+        told = [f"{metrics[n]:.9g}" if n in metrics else "" for n in self._metric_names]
+        with _writing(self._episodes.name):
+            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values, *told])
+
+    def _add_columns(self, names: list[str]) -> None:
+        """Write the table anew with more columns, empty so far."""
+        path = self.path / "episodes.csv"
+        self._episodes.close()
+        with path.open(newline="") as file:
+            header, *lines = list(csv.reader(file))
+        table = io.StringIO(newline="")
+        csv.writer(table).writerows(
+            [[*header, *names], *([*line, *("" for _ in names)] for line in lines)]
+        )
+        write_atomically(path, table.getvalue().encode())
+        self._metric_names += names
+        self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+
+    def read_episodes(self) -> Iterator[tuple[float, float, int, dict[str, float]]]:
+        """Yield time, return, length and metrics of every episode so far.
 
         Raises:
             RunDirectoryError: A line is not one of this table; all files are closed.
         """
         path, line = self.path / "episodes.csv", []
+        columns = [*EPISODE_COLUMNS, *self._metric_names]
         with path.open(newline="") as file:
             lines = csv.reader(file)
             try:
                 for line in lines:
                     if lines.line_num > 1:
-                        row = dict(zip(EPISODE_COLUMNS, line, strict=True))
-                        yield float(row["wall_s"]), float(row["return"]), int(row["length"])
-                    elif line != [*EPISODE_COLUMNS]:
+                        row = dict(zip(columns, line, strict=True))
+                        told = {n: float(row[n]) for n in self._metric_names if row[n]}
+                        yield float(row["wall_s"]), float(row["return"]), int(row["length"]), told
+                    elif line != columns:
                         raise ValueError
             except (ValueError, csv.Error):
                 self.close()
                 raise RunDirectoryError(
                     f"{path} line {lines.line_num}: found {','.join(line)!r}, expected "
-                    f"{','.join(EPISODE_COLUMNS)}; mend it, or begin another run"
+                    f"{','.join(columns)}; mend it, or begin another run"
                 ) from None
 
     def count_start(self) -> int:
@@ -214,3 +240,15 @@ def _read_starts(path: Path) -> int:
 
 def _short(value: object) -> object:
     return f"{value:.9g}" if isinstance(value, float) else value
+
+
+def column_of(metric: str) -> str:
+    """Name the column of what an environment tells; ours have their names already."""
+    return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
+
+
+def _names_of_metrics(episodes: Path) -> list[str]:
+    """Read which columns a table of episodes has after the usual ones."""
+    with episodes.open(newline="") as file:
+        header = next(csv.reader(file), [])
+    return header[len(EPISODE_COLUMNS) :]

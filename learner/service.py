@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from a2s.learner.gather import Gather
-from a2s.protocol.codec import decode, encode
+from a2s.protocol.codec import decode, encode, refuse_major_1
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import ActorStatus, Hello, RecoveryEvent, RunStatus, Segment
@@ -32,6 +32,7 @@ class Service:
         """Declare everything; the presence comes last, when all else can be answered."""
         bus, keys = self._bus, self._keys
         bus.answer(keys.hello, self._on_hello)
+        bus.answer(keys.hello_of_major_1, lambda _: self._on_hello_of_major_1())
         bus.answer(keys.segment, self._on_segment)
         bus.answer(keys.status, lambda _: encode(self._status()))
         bus.subscribe(keys.actor_status(), self._on_actor_status)
@@ -48,6 +49,10 @@ class Service:
         except MalformedMessageError as error:
             return encode(self._gather.refuse("hello", _cause(error), str(error)))
         return encode(self._gather.hello(hello))
+
+    def _on_hello_of_major_1(self) -> bytes:
+        self._gather.refuse("hello", "schema", "an actor of protocol 1")
+        return refuse_major_1()
 
     def _on_segment(self, payload: bytes) -> bytes:
         try:

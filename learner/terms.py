@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Clock, Hello, Notice, Segment
 
@@ -25,6 +26,7 @@ class Terms:
         most_suggested: Size of the numbers of a suggestion.
         seed: Of the run.
         num_actors: Actors that the first batch waits for.
+        env: How the environment is made; ``None``: with its id alone.
     """
 
     run: str
@@ -37,6 +39,12 @@ class Terms:
     most_suggested: float
     seed: int
     num_actors: int
+    env: EnvConfig | None = None
+
+    @property
+    def seed_before_joining(self) -> int:
+        """Seed of what is random while environments are made: the same for all actors."""
+        return int(np.random.SeedSequence((self.seed, self.generation)).generate_state(1)[0])
 
     def difference(self, hello: Hello) -> str:
         """How the environment of a hello with spaces differs, or ``""``."""

@@ -1,8 +1,10 @@
 """Messages to bytes and back: msgpack maps with a schema version, and nothing that can run code.
 
-A message is a map of its fields plus ``"a2s"`` (the schema version) and ``"kind"``. An array is a
+A message is a map of its fields plus ``"a2s"`` (the major version) and ``"kind"``. An array is a
 map ``{"dtype", "shape", "data"}`` of little-endian bytes in C order. Sizes are checked before
-anything is decoded, names and types before anything is built. ``docs/protocol.md`` has the details.
+anything is decoded, names and types before anything is built. Within a major version fields may be
+added: one that is not known is passed over, one that is missing has its default
+(``docs/protocol.md``, "Versions").
 """
 
 import itertools
@@ -10,24 +12,24 @@ import reprlib
 import types
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, TypeVar
 
 import msgpack
 import numpy as np
 
-from a2s.protocol import messages, replay_messages
+from a2s.protocol import keys, messages, replay_messages
 from a2s.protocol.errors import (
     MalformedMessageError,
     OversizeMessageError,
     SchemaMismatchError,
 )
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = keys.MAJOR
 MIB = 1 << 20
 MAX_BYTES: dict[type, int] = {
     messages.Hello: MIB,
-    messages.Welcome: MIB,
+    messages.Welcome: 16 * MIB,  # an offset of a million observations is 4 MB
     messages.Refusal: MIB,
     messages.Segment: 16 * MIB,
     messages.Ack: MIB,
@@ -36,7 +38,7 @@ MAX_BYTES: dict[type, int] = {
     messages.RecoveryEvent: MIB,
     messages.ActorStatus: MIB,
     messages.RunStatus: 16 * MIB,
-    replay_messages.ReplayInfo: MIB,
+    replay_messages.ReplayInfo: 16 * MIB,
     replay_messages.ReplayRequest: MIB,
     replay_messages.ReplaySample: 16 * MIB,
 }
@@ -62,6 +64,15 @@ Message = (
 M = TypeVar("M", bound=Message)
 
 
+def refuse_major_1() -> bytes:
+    """Answer a hello of the protocol before this one, in its own words."""
+    reason = (
+        f"this actor speaks protocol 1, the learner protocol {SCHEMA_VERSION}: it lacks how the "
+        "environment is made, and the keys that begin with a2s/2/; install the learner's a2s there"
+    )
+    return bytes(msgpack.packb({"a2s": 1, "kind": "Refusal", "reason": reason}))
+
+
 def encode(message: Message) -> bytes:
     """Turn a message into bytes.
 
@@ -79,8 +90,8 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     """Turn bytes into a message of one of the expected kinds.
 
     Raises:
-        MalformedMessageError: Oversize, not msgpack, another schema version or kind, unknown or
-            missing fields, wrong types, or values that contradict each other.
+        MalformedMessageError: Oversize, not msgpack, another major version or kind, missing
+            fields, wrong types, or values that contradict each other.
     """
     _check_size(len(payload), *kinds)
     expected = " or ".join(kind.__name__ for kind in kinds)
@@ -94,7 +105,8 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
     version = body.pop("a2s", None)
     if type(version) is not int or version != SCHEMA_VERSION:
-        raise SchemaMismatchError(f"peer speaks schema {_brief(version)}, this is {SCHEMA_VERSION}")
+        spoken = _brief(version)
+        raise SchemaMismatchError(f"peer speaks protocol {spoken}, this is {SCHEMA_VERSION}")
     name = body.pop("kind", None)
     kind = _KINDS.get(name) if isinstance(name, str) else None
     if kind not in kinds:
@@ -125,6 +137,7 @@ def _check_size(num_bytes: int, *kinds: type) -> None:
 class _Field:
     name: str
     read: Callable[[Any, str], Any]
+    required: bool
 
 
 _PLANS: dict[type, tuple[_Field, ...]] = {}
@@ -134,7 +147,9 @@ def _plan(kind: type) -> tuple[_Field, ...]:
     plan = _PLANS.get(kind)
     if plan is None:
         hints = typing.get_type_hints(kind)
-        plan = _PLANS[kind] = tuple(_Field(f.name, _reader(hints[f.name])) for f in fields(kind))
+        plan = _PLANS[kind] = tuple(
+            _Field(f.name, _reader(hints[f.name]), f.default is MISSING) for f in fields(kind)
+        )
     return plan
 
 
@@ -153,14 +168,12 @@ def _to_wire(value: Any) -> Any:
 
 def _from_map(body: Any, kind: type) -> Any:
     plan = _plan(kind)
-    names = {f.name for f in plan}
     _expect(isinstance(body, dict), body, kind.__name__, "a map of its fields")
-    if body.keys() != names:
-        missing, unknown = sorted(names - body.keys()), sorted(map(str, body.keys() - names))
-        raise MalformedMessageError(
-            f"{kind.__name__}: missing fields {missing}, unknown fields {_brief(unknown)}"
-        )
-    return kind(**{f.name: f.read(body[f.name], f"{kind.__name__}.{f.name}") for f in plan})
+    missing = [f.name for f in plan if f.required and f.name not in body]
+    if missing:
+        raise MalformedMessageError(f"{kind.__name__}: missing fields {missing}")
+    present = (f for f in plan if f.name in body)
+    return kind(**{f.name: f.read(body[f.name], f"{kind.__name__}.{f.name}") for f in present})
 
 
 def _reader(hint: Any) -> Callable[[Any, str], Any]:

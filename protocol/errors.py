@@ -6,6 +6,7 @@
     ├── UsageError              the user asked for something impossible; exit code 2
     ├── UnreachableError        nobody answered before the deadline
     ├── RefusedError            the learner said no, and why
+    ├── FaultyEnvironmentError  the user's environment raised, hung, or gave what none may give
     ├── MalformedMessageError   bytes or values that are not a message of this protocol
     │   ├── OversizeMessageError    more bytes than a message of this kind may have
     │   └── SchemaMismatchError     the peer speaks another version of the protocol
@@ -30,6 +31,19 @@ class UnreachableError(A2SError):
 
 class RefusedError(A2SError):
     """The learner refused this peer."""
+
+
+class FaultyEnvironmentError(A2SError):
+    """An environment raised, hung, or gave what none may give.
+
+    Args:
+        message: One line: environment, call, what was found and expected, the user's file and line.
+        by_mistake: Whether it would do so again, so that starting it anew is of no use.
+    """
+
+    def __init__(self, message: str, *, by_mistake: bool = False) -> None:
+        super().__init__(message)
+        self.by_mistake = by_mistake
 
 
 class MalformedMessageError(A2SError):

@@ -12,11 +12,21 @@ Array = npt.NDArray[np.float32]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
 NAME = "at most 96 of letters, digits, _ . -, beginning with no . or -"
+METRIC_NAME = "1 to 96 printable characters"
+MOST_METRICS = 32
 
 
 def is_name(text: str) -> bool:
     """Tell whether the name of a run or an actor can be part of a key: it is `NAME`."""
     return _NAME.fullmatch(text) is not None
+
+
+def is_metric_name(text: str) -> bool:
+    """Tell whether a number of an episode can be called so: it is `METRIC_NAME`.
+
+    It heads a column, labels a metric and is shown; what breaks lines could do none of these.
+    """
+    return 0 < len(text) <= 96 and text.isprintable()
 
 
 def require(condition: bool, subject: str, found: object, expected: str) -> None:
@@ -48,6 +58,8 @@ class Spaces:
         obs_size: D.
         action_low: Lowest action, in the environment's units, float32 ``[A]``.
         action_high: Highest action, float32 ``[A]``.
+        obs_offset: Taken off every observation before it becomes float32, float32 ``[D]``;
+            ``None``: nothing is (docs/adr/0019).
 
     Raises:
         MalformedMessageError: No dimensions, or bounds that are not finite and ordered.
@@ -56,6 +68,7 @@ class Spaces:
     obs_size: int
     action_low: Array
     action_high: Array
+    obs_offset: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the sizes and the order of the bounds."""
@@ -65,6 +78,10 @@ class Spaces:
         require(low.shape == high.shape, "spaces: action_high", high.shape, f"{low.shape}")
         require_finite("spaces", action_low=low, action_high=high)
         require(bool((low < high).all()), "spaces", "low >= high", "low below high everywhere")
+        if self.obs_offset is not None:
+            found = self.obs_offset.shape
+            require(found == (self.obs_size,), "spaces: obs_offset", found, f"({self.obs_size},)")
+            require_finite("spaces", obs_offset=self.obs_offset)
 
     @property
     def action_size(self) -> int:
@@ -72,7 +89,10 @@ class Spaces:
         return int(self.action_low.size)
 
     def differs_from(self, other: "Spaces") -> str:
-        """Describe the first difference to another environment's spaces, or return ``""``."""
+        """Describe the first difference to another environment's spaces, or return ``""``.
+
+        The offset is the learner's choice, and no property of an environment.
+        """
         if self.obs_size != other.obs_size:
             return f"obs_size {other.obs_size}, expected {self.obs_size}"
         if self.action_size != other.action_size:

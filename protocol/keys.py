@@ -1,17 +1,19 @@
 """The key expressions of one run; ``docs/protocol.md`` has them as a table.
 
-========================  =====================================================
-``a2s/RUN/hello``         query: Hello -> Welcome or Refusal
-``a2s/RUN/segment``       query: Segment -> Ack
-``a2s/RUN/notice``        publication and query: Notice of the newest weights
-``a2s/RUN/weights``       query: (empty) -> Weights, the newest
-``a2s/RUN/recovery``      publication: RecoveryEvent
-``a2s/RUN/actor/ACTOR``   publication: ActorStatus
-``a2s/RUN/status``        query: (empty) -> RunStatus
-``a2s/RUN/replay/info``   query: (empty) -> ReplayInfo
-``a2s/RUN/replay/sample`` query: ReplayRequest -> ReplaySample or Refusal
-``a2s/RUN/live/...``      liveliness tokens: ``learner``, ``actor/ACTOR``
-========================  =====================================================
+The 2 is the major version of the protocol: peers of another one never meet.
+
+==========================  =====================================================
+``a2s/2/RUN/hello``         query: Hello -> Welcome or Refusal
+``a2s/2/RUN/segment``       query: Segment -> Ack
+``a2s/2/RUN/notice``        publication and query: Notice of the newest weights
+``a2s/2/RUN/weights``       query: (empty) -> Weights, the newest
+``a2s/2/RUN/recovery``      publication: RecoveryEvent
+``a2s/2/RUN/actor/ACTOR``   publication: ActorStatus
+``a2s/2/RUN/status``        query: (empty) -> RunStatus
+``a2s/2/RUN/replay/info``   query: (empty) -> ReplayInfo
+``a2s/2/RUN/replay/sample`` query: ReplayRequest -> ReplaySample or Refusal
+``a2s/2/RUN/live/...``      liveliness tokens: ``learner``, ``actor/ACTOR``
+==========================  =====================================================
 """
 
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from dataclasses import dataclass
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import NAME, is_name
 
+MAJOR = 2
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 
@@ -38,12 +41,17 @@ class Keys:
             raise UsageError(f"run name: found {self.run!r}, expected {NAME}")
 
     def _key(self, rest: str) -> str:
-        return f"a2s/{self.run}/{rest}"
+        return f"a2s/{MAJOR}/{self.run}/{rest}"
 
     @property
     def hello(self) -> str:
         """Where actors say hello."""
         return self._key("hello")
+
+    @property
+    def hello_of_major_1(self) -> str:
+        """Where actors of the protocol before this one say hello."""
+        return f"a2s/{self.run}/hello"
 
     @property
     def segment(self) -> str:

@@ -14,7 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from a2s.protocol.fields import NAME, Array, Spaces, is_name, require
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.fields import METRIC_NAME, NAME, Array, Spaces, is_metric_name, is_name, require
+from a2s.protocol.fields import MOST_METRICS as MOST_METRICS
 
 Clock = Literal["lockstep", "async"]
 Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
@@ -33,12 +35,15 @@ class Hello:
         num_envs: Environments that it steps; 0 while it only asks.
         env_id: Environment that it has made; empty while it only asks.
         spaces: Their spaces; ``None`` while it only asks.
+        cause: Why the process that had its place before had to be replaced; empty if none had, and
+            when it joins again.
     """
 
     actor: str
     num_envs: int
     env_id: str
     spaces: Spaces | None
+    cause: str = ""
 
     def __post_init__(self) -> None:
         """Check the name and that a joining actor says everything."""
@@ -58,12 +63,14 @@ class Welcome:
     Attributes:
         run: Name of the run.
         generation: Which start of the learner this is, counting from 1.
-        env_id: Gymnasium id to make.
+        env_id: Environment to make.
         spaces: Spaces that this environment must have.
         num_envs: Environments to step unless the actor was told otherwise.
         clock: ``lockstep``: play the quota, then wait for the next version; ``async``: go on.
         slot: The actor's place in the run, unique among those present; -1 while it only asks.
-        seed: Seed for this actor's environments and noise.
+        seed: Seed for this actor's environments and noise; while it only asks, the seed of all
+            that is random before it has joined.
+        env: How to make the environment; ``None``: with its id alone.
     """
 
     run: str
@@ -74,6 +81,7 @@ class Welcome:
     clock: Clock
     slot: int
     seed: int
+    env: EnvConfig | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,6 +89,19 @@ class Refusal:
     """The learner's answer to a hello that cannot be welcomed: ``reason`` is one line."""
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMetric:
+    """A number that the environment told at the end of an episode, such as ``is_success``."""
+
+    name: str
+    value: float
+
+    def __post_init__(self) -> None:
+        """Check that it has a name and is a number."""
+        require(is_metric_name(self.name), "metric: name", repr(self.name), METRIC_NAME)
+        require(math.isfinite(self.value), f"metric {self.name}", self.value, "a finite number")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,9 +126,11 @@ class Segment:
         reward: Undiscounted rewards, float32 ``[T]``.
         final_obs: Observation after the last step, float32 ``[D]``.
         terminated: The last step reached a terminal state, so ``final_obs`` has value 0.
-        truncated: The last step hit a time limit, so ``final_obs`` is bootstrapped.
+        truncated: The episode was cut after the last step, by a time limit or because the next
+            step cannot be used, so ``final_obs`` is bootstrapped.
         episode_return: Sum of rewards since the episode began, this segment included.
         episode_length: Steps since the episode began, this segment included.
+        metrics: What the environment told of the episode that ends here, at most 32 numbers.
 
     Raises:
         MalformedMessageError: The arrays disagree, or a number is too large, or none.
@@ -128,6 +151,7 @@ class Segment:
     truncated: bool
     episode_return: float
     episode_length: int
+    metrics: tuple[EpisodeMetric, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shapes against each other and the size of every number."""
@@ -151,6 +175,8 @@ class Segment:
         for name in ("seq", "generation", "epoch", "weights_version", "env"):
             require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
         require(self.episode_length >= steps, subject, self.episode_length, "episode_length >= T")
+        told = len(self.metrics)
+        require(told <= MOST_METRICS, f"{subject}: metrics", told, f"at most {MOST_METRICS}")
         for names, most in (
             (("obs", "final_obs", "reward", "episode_return"), MOST_PLAYED),
             (("suggestion", "log_prob"), MOST_SUGGESTED),
@@ -274,7 +300,7 @@ class ActorStatus:
 
     Attributes:
         actor: As in its hello.
-        slot: Place in the run.
+        slot: Place in the run; -1 before it has joined.
         weights_version: Version that it acts with.
         epoch: Recovery epoch that it acts in.
         env_steps: Steps it has made.
@@ -283,6 +309,10 @@ class ActorStatus:
         segments_answered: Those that the learner has answered.
         spooled_steps: Steps waiting for an answer.
         leaving: Nothing more will come from it.
+        doing: The call into an environment that it is in, and for how long; empty if in none.
+        dropped_steps: Steps whose numbers could not be used.
+        trouble: The latest of them, or the latest episode that was cut because it did not end,
+            in one line; empty if there was none.
     """
 
     actor: str
@@ -295,6 +325,13 @@ class ActorStatus:
     segments_answered: int
     spooled_steps: int
     leaving: bool
+    doing: str = ""
+    dropped_steps: int = 0
+    trouble: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the name: it is shown, and who has not joined is remembered by it."""
+        require(is_name(self.actor), "actor status: actor", repr(self.actor), NAME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,10 +6,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from a2s import cli
+from a2s.protocol.errors import UsageError
 
 
 @pytest.fixture(autouse=True)
@@ -33,13 +35,37 @@ def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
     ("arguments", "said"),
     [
         (["learner", "--env", "NoSuchThing-v5"], "NoSuchThing"),
-        (["train", "--env", "CartPole-v1"], "found actions Discrete(2)"),
+        (["learner", "--env", "CartPole-v1"], "--env InvertedPendulum-v5 is like it"),
         (["learner", "--preset", "modem"], "did you mean 'modern'?"),
         (["learner", "--algo", "a3c"], "did you mean 'a2c'?"),
         (["learner", "--set", "gama=0.9"], "did you mean 'gamma'?"),
+        (
+            ["learner", "--variant", "off-policy", "--set", "buffer_size=1e6"],
+            "unknown hyperparameter 'buffer_size' (here it is 'replay_rows')",
+        ),
+        (
+            ["learner", "--set", "batch_size=64"],
+            "unknown hyperparameter 'batch_size' (here it is 'policy_minibatch')",
+        ),
+        (
+            ["learner", "--set", "total_timesteps=1e6"],
+            "unknown hyperparameter 'total_timesteps' (here it is the option --total-steps)",
+        ),
         (["learner", "--set", "gamma=1.5"], "gamma: found 1.5"),
         (["learner", "--set", "recovery_bias=nan"], "recovery_bias: found nan"),
         (["learner", "--set", "gamma"], "found 'gamma', expected KEY=VALUE"),
+        (["learner", "--seed", "x"], "--seed or A2S_SEED: found 'x', expected a whole number"),
+        (["learner", "--seed", "-1"], "--seed or A2S_SEED: found -1, expected 0 to 92233720368547"),
+        (["learner", "--total-steps", "0e3"], "A2S_TOTAL_STEPS: found 0e3, expected at least 1"),
+        (["learner", "--total-steps", "1e-3"], "found '1e-3', expected a whole number such as"),
+        (["learner", "--total-steps", "1.5e0"], "found '1.5e0', expected a whole number such as"),
+        (["learner", "--total-steps", "inf"], "found 'inf', expected a whole number such as 1000"),
+        (["learner", "--total-steps", "nan"], "found 'nan', expected a whole number such as 1000"),
+        (["learner", "--total-steps", "1e999999999"], "found '1e999999999', expected a whole num"),
+        (["learner", "--seed", str(10**22)], f"found {10**22}, expected 0 to {2**63 - 1}"),
+        (["learner", "--metrics-port", "-2"], "found -2, expected -1 to 65535"),
+        (["actor", "--n", "0"], "--n or A2S_N: found 0, expected at least 1"),
+        (["bench", "wire", "--rounds", "0"], "--rounds: found 0, expected at least 1"),
         (["learner", "--suggestions", "0"], "suggestions: found 0"),
         (["learner", "--run", "a/b"], "run name: found 'a/b'"),
         (["learner", "--listen", "7447"], "expected PROTOCOL/HOST:PORT"),
@@ -79,20 +105,8 @@ def test_more_than_a_served_replay_gives_is_refused_before_the_run_begins(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["learner", "--seed", "x"],
-        ["learner", "--seed", str(10**22)],
-        ["actor", "--n", "0"],
-        ["learn"],
-        ["learner", "--metrics-port", "-2"],
-    ],
-)
-def test_what_the_parser_refuses_is_exit_code_2(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "Traceback" not in _usage(*arguments, capsys=capsys)
+def test_what_the_parser_refuses_is_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "Traceback" not in _usage("learn", capsys=capsys)
 
 
 def _print_config(*arguments: str) -> str:
@@ -113,6 +127,44 @@ def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
     monkeypatch.setenv("A2S_SEED", "8")
     assert "\nseed = 8\n" in _print_config("--config", str(file))
     assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
+
+
+@pytest.mark.parametrize("million", ["1e6", "1E+6", "1000000.0", "1_000_000", "10.0e5"])
+def test_a_million_may_be_written_in_any_way(
+    million: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = _print_config("--total-steps", million, "--set", f"batch_steps={million}")
+    assert "\ntotal_steps = 1000000\n" in said
+    assert "\nbatch_steps = 1000000  # set by you" in said
+    file = tmp_path / "mine.toml"
+    file.write_text(f"[run]\ntotal_steps = {million}\n[hyper]\nbatch_steps = {million}\n")
+    assert _print_config("--config", str(file)) == said
+    monkeypatch.setenv("A2S_TOTAL_STEPS", million)
+    assert "\ntotal_steps = 1000000\n" in _print_config()
+
+
+def test_every_option_that_counts_takes_1e0() -> None:
+    """And refuses half of one: none was forgotten."""
+    commands = get_command(cli.app).commands  # type: ignore[attr-defined]
+    commands |= commands.pop("replay").commands
+    counts = [
+        (command, parameter)
+        for command in commands.values()
+        for parameter in command.params
+        if parameter.type_descriptor.annotation is int
+    ]
+    assert len(counts) > 20
+    for command, parameter in counts:
+        context = typer.Context(command)
+        assert parameter.process_value(context, "1e0") == 1
+        with pytest.raises(UsageError, match=r"found '0.5', expected a whole number such as"):
+            parameter.process_value(context, "0.5")
+
+
+def test_help_says_the_ranges_of_whole_numbers() -> None:
+    said = CliRunner().invoke(cli.app, ["replay", "sample", "--help"], env={"COLUMNS": "200"})
+    assert "1..4096" in said.output
+    assert "[default: 256]" in said.output
 
 
 def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
@@ -172,7 +224,19 @@ def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
             "[run]\nvariant = 'off-policy'\n[hyper]\ntaus = 1\n",
             "bad.toml: unknown hyperparameter 'taus' in [hyper] (did you mean 'tau'?)",
         ),
-        ("[run]\nseed = 'x'\n", "seed: found 'x', expected int"),
+        ("[run]\nn_envs = 4\n", "bad.toml: unknown option 'n_envs' in [run] (here it is 'envs')"),
+        ("[hyper]\nn_steps = 4\n", "'n_steps' in [hyper] (here it is 'batch_steps')"),
+        (
+            "[run]\nvariant = 'off-policy'\n[hyper]\nn_steps = 4\n",
+            "'n_steps' in [hyper] (here it is 'n_step')",
+        ),
+        ("[run]\nseed = 'x'\n", "seed: found 'x', expected a whole number"),
+        ("[run]\nseed = true\n", "seed: found True, expected a whole number"),
+        ("[run]\nseed = 0.5\n", "seed: found 0.5, expected a whole number"),
+        ("[run]\nseed = inf\n", "seed: found inf, expected a whole number"),
+        ("[run]\nenvs = 1e4\n", "envs: found 10000, expected 1 to 4096"),
+        ("[run]\nenv = 3.0\n", "env: found 3.0, expected text"),
+        ("[hyper]\nbatch_steps = 1.5\n", "batch_steps: found 1.5, expected a whole number"),
         (f"[run]\nseed = {2**63}\n", f"seed: found {2**63}, expected 0 to {2**63 - 1}"),
         ("[run\n", "not TOML"),
         ("[run]\nvariant = 'of-policy'\n[hyper]\ntau = 1\n", "variant: found 'of-policy'"),

@@ -16,6 +16,11 @@ from a2s.learner.algorithm.body import Body, Layer
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 
 OBS_LIMIT = 10.0
+# What of an observation may be rounding (docs/adr/0017): two steps of float32 of its mean, and what
+# is left of the largest one in float64, in which environments compute, after 256 roundings; of the
+# last not more than a deviation of 1e-4, so that one reading of 1e30 does not hide the others.
+_STEPS, _REST, _MOST_REST = 2.0**-22, 2.0**-44, 1e-8
+_LEAST = 2.0**-252  # of a variance: one over its root is a float32
 
 
 class Normaliser(nn.Module):
@@ -23,7 +28,8 @@ class Normaliser(nn.Module):
 
     Where it ``quiets_rare`` ones, each is scaled further by the share of steps in which it was not
     0: by its deviation alone a contact force is the louder the more seldom it is there
-    (docs/adr/0016).
+    (docs/adr/0016). What does not vary by more than rounding is quiet, whatever the unit
+    (docs/adr/0017).
 
     Buffers: ``mean`` and ``variance``, and where it ``quiets_rare`` ones ``nonzero``, how often
     each was not 0, float64 ``[D]``; ``count``, float64 ``[]``. Before the first observation they
@@ -63,14 +69,21 @@ class Normaliser(nn.Module):
             self.nonzero += obs.count_nonzero(0)
 
     def constants(self) -> tuple[Tensor, Tensor]:
-        """The mean to subtract and the factor to multiply by, float32 ``[D]`` each."""
-        factor = (self.variance + 1e-8).rsqrt()
+        """The mean to subtract and the factor to multiply by, float32 ``[D]`` each.
+
+        The factor is ``deviation / (variance + floor)``: one over the deviation where that is far
+        above rounding, and nothing where nothing has varied yet.
+        """
+        size = self.mean.square()
+        largest = (self.variance + size).max()
+        floor = _STEPS**2 * size + (_REST**2 * largest).clamp(max=_MOST_REST)
+        factor = self.variance.sqrt() / (self.variance + floor).clamp(min=_LEAST)
         if self.quiets_rare:
             factor *= torch.where(self.count > 0, self.nonzero / self.count, 1.0)
         return self.mean.float(), factor.float()
 
     def forward(self, obs: Tensor) -> Tensor:
-        """Normalise and limit to +-10: float32 ``[N, D]`` to ``[N, D]``."""
+        """Normalise and limit to +-10: float32 ``[..., D]`` to ``[..., D]``."""
         if not self.enabled:
             return obs
         mean, factor = self.constants()

@@ -162,7 +162,7 @@ class OffPolicy:
         learned = self.learned
         return_size = learned.return_size()
         batch = batch._replace(reward=batch.reward / return_size)
-        obs, next_obs = learned.normaliser(batch.obs), learned.normaliser(batch.next_obs)
+        obs, next_obs = learned.normaliser(torch.stack((batch.obs, batch.next_obs)))
         output, tape = learned.policy.trace(obs)
         policy = gaussian(output[0])
         drawn = draw(policy, noise.suggestion)

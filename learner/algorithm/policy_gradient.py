@@ -15,6 +15,7 @@ from a2s.learner.algorithm.fit import num_chunks
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper, PolicyLoss
 from a2s.learner.algorithm.networks import Policy
 from a2s.learner.algorithm.optimiser import Adam
+from a2s.learner.algorithm.returns import RESOLUTION
 from a2s.learner.algorithm.step_size import gaussian_kl
 
 HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
@@ -88,9 +89,12 @@ def importance(log_prob: Tensor, executed_log_prob: Tensor, limit: float) -> Ten
 
 
 def normalised(advantage: Tensor, weight: Tensor) -> Tensor:
-    """Advantages of a batch with weighted mean 0 and standard deviation 1."""
-    centred = advantage - (weight * advantage).mean()
-    return centred / ((weight * centred.square()).mean().sqrt() + 1e-8)
+    """Advantages of a batch with weighted mean 0 and standard deviation 1; 0 if all are alike."""
+    given = advantage.double()
+    centred = given - (weight * given).mean()
+    floor = RESOLUTION * given.square().mean().sqrt()
+    spread = (weight * centred.square()).mean().sqrt().clamp(min=floor)
+    return (centred / spread.clamp(min=LEAST_WEIGHT)).to(advantage.dtype)
 
 
 def advantage_over_others(q_value: Tensor) -> Tensor:

@@ -53,7 +53,7 @@ def _check_integer(name: str, value: object, least: int, most: float) -> None:
     is_integer = isinstance(value, int) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:  # type: ignore[operator]
         span = f"of at least {least}" if most == math.inf else f"from {least} to {most:g}"
-        refuse(name, value, f"an integer {span}")
+        refuse(name, value, f"a whole number {span}")
 
 
 def _check_number(name: str, value: object, low: float, high: float) -> None:

@@ -10,8 +10,6 @@ from typing import Any
 
 from a2s.learner.algorithm.hyperparameters import RecoveryRule, ReturnStatistic
 
-SCALE_EPS = 1e-8
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryDecision:
@@ -52,8 +50,9 @@ def gap_invariant(r: float, r_best: float, r_first: float) -> float:
     Source: differs from equation 5, which needs positive returns; section 6 of the paper asks for
     such a rule.
     """
-    scale = max(abs(r_best), r_best - r_first, SCALE_EPS)
-    return min(max((r_best - r) / scale, 0.0), 1.0)
+    scale = max(abs(r_best), r_best - r_first)
+    gap = (r_best - r) / scale if scale > 0 else float(r < r_best)
+    return min(max(gap, 0.0), 1.0)
 
 
 class Recovery:

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 _SAMPLES = 50
+_LEAST = torch.finfo(torch.float32).tiny
 
 
 class ReturnSize:
@@ -35,8 +36,9 @@ class ReturnSize:
             self.mean_square.lerp_(returns.double().square().mean(), share)
 
     def __call__(self) -> Tensor:
-        """The size, ``[]``, above 0."""
-        return self.mean_square.clamp(min=1e-12).sqrt().to(torch.get_default_dtype())
+        """The size, ``[]``, above 0: 1 where nothing was ever paid."""
+        size = torch.where(self.mean_square > 0, self.mean_square.sqrt(), 1.0)
+        return size.clamp(min=_LEAST).to(torch.get_default_dtype())
 
     def tensors(self) -> dict[str, Tensor]:
         """All that changes, not copied."""

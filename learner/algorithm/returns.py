@@ -7,6 +7,10 @@ from torch import Tensor
 
 from a2s.learner.algorithm.batch import Batch
 
+# Of the size of returns: what varies less is rounding of float32 numbers and their sums.
+RESOLUTION = 2.0**-20
+_LEAST = 1e-30  # what float32 can still be divided by
+
 
 class Estimates(NamedTuple):
     """Advantage and target of every step, float32 ``[N]`` each."""
@@ -91,6 +95,7 @@ class ReturnScale:
         """Take targets, ``[N]``, into account."""
         if not self.enabled:
             return
+        target = target.double()
         mean, added = float(target.mean()), float(len(target))
         variance = float(target.var(correction=0))
         total = self.count + added
@@ -98,7 +103,7 @@ class ReturnScale:
         kept = self.std**2 * self.count if self.count else 0.0
         spread = kept + variance * added + shift**2 * self.count * added / total
         self.mean += shift * added / total
-        self.std = max((spread / total) ** 0.5, 1e-4)
+        self.std = max((spread / total) ** 0.5, RESOLUTION * abs(self.mean), _LEAST)
         self.count = min(total, float(self.window_steps))
 
     def normalise(self, target: Tensor) -> Tensor:
@@ -120,14 +125,18 @@ class ReturnScale:
 
 def explained_variance(predicted: Tensor, actual: Tensor) -> float:
     """``1 - var(actual - predicted) / var(actual)``: 1 is perfect, 0 no better than a constant."""
+    predicted, actual = predicted.double(), actual.double()
     variance = float(actual.var(correction=0))
-    if variance < 1e-12:
+    if variance <= RESOLUTION**2 * float(actual.square().mean()):
         return 0.0
     return 1.0 - float((actual - predicted).var(correction=0)) / variance
 
 
 def correlation(left: Tensor, right: Tensor) -> float:
     """Pearson's correlation of two ``[N]``; 0 where one of them does not vary."""
+    left, right = left.double(), right.double()
+    least = RESOLUTION * left.norm(), RESOLUTION * right.norm()
     left, right = left - left.mean(), right - right.mean()
-    size = float(left.norm() * right.norm())
-    return float(left @ right) / size if size > 1e-12 else 0.0
+    if left.norm() <= least[0] or right.norm() <= least[1]:
+        return 0.0
+    return float((left / left.norm()) @ (right / right.norm()))

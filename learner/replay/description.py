@@ -32,12 +32,14 @@ class Description:
 
     def write(self, path: Path) -> None:
         """Write ``replay.json`` into a directory, whole or not at all."""
+        offset = self.spaces.obs_offset
         document = {
             "format": _FORMAT,
             "env_id": self.env_id,
             "obs_size": self.spaces.obs_size,
             "action_low": self.spaces.action_low.tolist(),
             "action_high": self.spaces.action_high.tolist(),
+            "obs_offset": None if offset is None else offset.tolist(),
             "capacity": self.capacity,
             "files": self.files,
         }
@@ -71,12 +73,14 @@ def read(path: Path) -> Description:
             raise RunDirectoryError(
                 f"replay {path}: found format {document['format']}, expected {_FORMAT}"
             )
+        offset = document.get("obs_offset")
         return Description(
             env_id=str(document["env_id"]),
             spaces=Spaces(
                 obs_size=int(document["obs_size"]),
                 action_low=np.array(document["action_low"], np.float32),
                 action_high=np.array(document["action_high"], np.float32),
+                obs_offset=None if offset is None else np.array(offset, np.float32),
             ),
             capacity=int(document["capacity"]),
             files=int(document["files"]),

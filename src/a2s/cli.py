@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -9,8 +10,11 @@ from typing import Annotated
 import typer
 
 from a2s import __version__
-from a2s.commands import options, replay_cli
+from a2s.commands import env_options, options, replay_cli
+from a2s.commands.serving import fill_standard_streams
 from a2s.commands.stopping import end_on_signals
+from a2s.commands.whole_number import whole_number
+from a2s.learner.numerals import written
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
@@ -23,7 +27,8 @@ app = typer.Typer(
     add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Train continuous control with many actors and one learner: the policy suggests, Q picks.",
+    help="Train continuous control with many actors and one learner: the policy suggests, Q picks."
+    "\n\nEvery option can be given by a variable: --total-steps by A2S_TOTAL_STEPS.",
 )
 app.add_typer(replay_cli.app, name="replay")
 
@@ -53,6 +58,13 @@ def learner(
     run_dir: options.RunDir = None,
     resume: options.Resume = False,
     config: options.Config = None,
+    env_kwargs: env_options.EnvKwargs = None,
+    wrapper: env_options.Wrapper = None,
+    action_repeat: env_options.ActionRepeat = None,
+    frame_stack: env_options.FrameStack = None,
+    max_episode_steps: env_options.MaxEpisodeSteps = None,
+    env_timeout: env_options.EnvTimeout = None,
+    info_metric: env_options.InfoMetric = None,
     variant: options.Variant = None,
     algo: options.Algo = None,
     preset: options.Preset = None,
@@ -91,6 +103,10 @@ def learner(
         "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads, "device": device,
         "keep_policy_every_updates": keep_policy_every,
+        **env_options.environment(
+            env_kwargs, wrapper, action_repeat, frame_stack, max_episode_steps, env_timeout,
+            info_metric,
+        ),
     }  # fmt: skip
     configuration, path = configure(given, settings, config, run_dir, resume=resume)
     if print_config:
@@ -133,9 +149,10 @@ def actor(
     connect: options.Connect = DEFAULT_ENDPOINT,
     spool_steps: Annotated[
         int,
-        typer.Option(
-            envvar="A2S_SPOOL_STEPS",
-            min=1,
+        whole_number(
+            "--spool-steps",
+            env="A2S_SPOOL_STEPS",
+            least=1,
             help="Steps that each process keeps at most while the learner is away.",
         ),
     ] = 65_536,
@@ -167,6 +184,13 @@ def train(
     run_dir: options.RunDir = None,
     resume: options.Resume = False,
     config: options.Config = None,
+    env_kwargs: env_options.EnvKwargs = None,
+    wrapper: env_options.Wrapper = None,
+    action_repeat: env_options.ActionRepeat = None,
+    frame_stack: env_options.FrameStack = None,
+    max_episode_steps: env_options.MaxEpisodeSteps = None,
+    env_timeout: env_options.EnvTimeout = None,
+    info_metric: env_options.InfoMetric = None,
     variant: options.Variant = None,
     algo: options.Algo = None,
     preset: options.Preset = None,
@@ -197,6 +221,10 @@ def train(
         "lockstep": lockstep,
         "n": n, "envs": envs, "threads": threads, "device": device,
         "keep_policy_every_updates": keep_policy_every,
+        **env_options.environment(
+            env_kwargs, wrapper, action_repeat, frame_stack, max_episode_steps, env_timeout,
+            info_metric,
+        ),
     }  # fmt: skip
     configuration, path = configure(
         given, settings, config, run_dir, resume=resume, defaults={"n": 2}
@@ -232,19 +260,68 @@ def evaluate(
     mode: options.Mode = "mean",
     weights: options.WhichWeights = "latest",
     seed: options.Seed = None,
+    env_kwargs: env_options.EnvKwargs = None,
+    wrapper: env_options.Wrapper = None,
+    action_repeat: env_options.ActionRepeat = None,
+    frame_stack: env_options.FrameStack = None,
+    max_episode_steps: env_options.MaxEpisodeSteps = None,
+    env_timeout: env_options.EnvTimeout = None,
+    info_metric: env_options.InfoMetric = None,
     json_: options.Json = False,
 ) -> None:
     """Play fresh episodes with a trained policy."""
     from a2s.commands.evaluate import evaluate_run
 
-    result = evaluate_run(run, env, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
+    given = {
+        "env": env,
+        **env_options.environment(
+            env_kwargs, wrapper, action_repeat, frame_stack, max_episode_steps, env_timeout,
+            info_metric,
+        ),
+    }  # fmt: skip
+    result = evaluate_run(run, given, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
     if json_:
         typer.echo(json.dumps(result))
     else:
+        mean, std = written(result["mean"]), written(result["std"])
+        low, high = written(min(result["returns"])), written(max(result["returns"]))
         typer.echo(
-            f"{result['env']}: {result['mean']:.1f} +- {result['std']:.1f} over {episodes} "
-            f"episodes ({mode}); from {min(result['returns']):.1f} to {max(result['returns']):.1f}"
+            f"{result['env']}: {mean} +- {std} over {episodes} episodes ({mode}); "
+            f"from {low} to {high}"
         )
+
+
+@app.command()
+def check(
+    environment: Annotated[
+        str | None, typer.Argument(help="As --env of a2s train.", metavar="ENV")
+    ] = None,
+    env: options.Env = None,
+    env_kwargs: env_options.EnvKwargs = None,
+    wrapper: env_options.Wrapper = None,
+    action_repeat: env_options.ActionRepeat = None,
+    frame_stack: env_options.FrameStack = None,
+    max_episode_steps: env_options.MaxEpisodeSteps = None,
+    env_timeout: env_options.EnvTimeout = None,
+    info_metric: env_options.InfoMetric = None,
+    json_: options.Json = False,
+) -> None:
+    """Try an environment: whether it can be trained on, what it is, and how fast."""
+    from a2s.commands.check import check_environment, page
+    from a2s.commands.configure import environment_of
+
+    if (environment is None) == (env is None):
+        raise UsageError("a2s check: name one environment, for example a2s check Hopper-v5")
+    given = {
+        "env": environment or env,
+        **env_options.environment(
+            env_kwargs, wrapper, action_repeat, frame_stack, max_episode_steps, env_timeout,
+            info_metric,
+        ),
+    }  # fmt: skip
+    found = check_environment(environment_of(given))
+    command = shlex.join(["a2s", "train", *env_options.words(given)])
+    typer.echo(json.dumps(found) if json_ else page(found, command))
 
 
 @app.command()
@@ -258,14 +335,15 @@ def plot(
     _require_learner()
     from a2s.commands.plot import plot as draw
 
-    draw(runs, output)
+    for reason in draw(runs, output):
+        sys.stderr.write(f"a2s: left out: {reason}\n")
     typer.echo(f"{output}")
 
 
 @app.command()
 def bench(
     suite: Annotated[str, typer.Argument(help="actor, learner, wire or replay.")],
-    rounds: Annotated[int, typer.Option(min=1, help="Turns of every contender.")] = 9,
+    rounds: Annotated[int, whole_number("--rounds", least=1, help="Turns of every contender.")] = 9,
     seconds: Annotated[float, typer.Option(min=0.0, help="Of one turn, at least.")] = 0.2,
     json_: options.Json = False,
 ) -> None:
@@ -297,6 +375,7 @@ def _installed(module: str) -> bool:
 def main() -> None:
     """Run the command line; what is expected to go wrong is one line on standard error."""
     end_on_signals()
+    fill_standard_streams()
     try:
         app()
     except A2SError as error:

@@ -7,20 +7,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from a2s.actors.environment import Environment
+from a2s.actors.environments.environment import Environment
 from a2s.actors.metrics import Tally
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
-from a2s.protocol.errors import A2SError
-from a2s.protocol.messages import Notice, Segment
+from a2s.actors.troubles import Troubles
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import FaultyEnvironmentError
+from a2s.protocol.messages import EpisodeMetric, Notice, Segment
 
 MakeGraph = Callable[..., bytes]
 MakeNotice = Callable[..., Notice]
 
 
-def _rollout(env_id: str, num_envs: int, tally: Tally | None = None) -> Rollout:
-    environments = [Environment(f"a2s_test_envs:{env_id}-v0") for _ in range(num_envs)]
-    return Rollout("tester", environments, 0, tally or Tally())
+def _rollout(
+    env_id: str, num_envs: int, tally: Tally | None = None, troubles: Troubles | None = None
+) -> Rollout:
+    config = EnvConfig(env_id=f"a2s_test_envs:{env_id}-v0")
+    environments = [Environment(config) for _ in range(num_envs)]
+    return Rollout("tester", environments, 0, tally or Tally(), troubles or Troubles())
 
 
 def _never() -> bool:
@@ -101,8 +106,8 @@ def test_the_same_seed_plays_the_same(make_graph: MakeGraph, make_notice: MakeNo
     graph = make_graph(obs_size=11, low=(-1.0,) * 3, high=(1.0,) * 3)
 
     def play() -> list[Segment]:
-        environments = [Environment("Hopper-v5") for _ in range(3)]
-        rollout = Rollout("tester", environments, 7, Tally())
+        environments = [Environment(EnvConfig(env_id="Hopper-v5")) for _ in range(3)]
+        rollout = Rollout("tester", environments, 7, Tally(), Troubles())
         return list(rollout.play(Suggester(graph), make_notice(quota_steps=60), _never))
 
     for one, other in zip(play(), play(), strict=True):
@@ -111,25 +116,67 @@ def test_the_same_seed_plays_the_same(make_graph: MakeGraph, make_notice: MakeNo
     assert not np.array_equal(play()[0].obs[0], play()[1].obs[0])
 
 
-def test_an_episode_with_a_reward_that_is_no_number_is_dropped_and_counted(
+def test_a_step_with_a_reward_that_is_no_number_is_dropped_counted_and_made_up_for(
     make_graph: MakeGraph, make_notice: MakeNotice
 ) -> None:
-    """And an environment that makes nothing else is given up, with the reason."""
-    tally = Tally()
-    rollout = _rollout("NanReward", 1, tally)
-    with pytest.raises(A2SError, match=r"10 unusable segments in a row.*found nan"):
+    """The third reward of each episode is none: episodes are cut before it, and the quota met."""
+    tally, troubles = Tally(), Troubles()
+    rollout = _rollout("NanReward", 1, tally, troubles)
+    segments = list(rollout.play(Suggester(make_graph()), make_notice(quota_steps=7), _never))
+    assert [s.obs.tolist() for s in segments] == [
+        [[0, 0], [0, 1]], [[1, 0], [1, 1]], [[2, 0], [2, 1]], [[3, 0]],
+    ]  # fmt: skip
+    assert [s.final_obs.tolist() for s in segments[:3]] == [[0, 2], [1, 2], [2, 2]]
+    assert [s.truncated for s in segments] == [True, True, True, False]
+    assert [s.episode_return for s in segments] == [3.0, 3.0, 3.0, 1.0]
+    assert tally.snapshot()["counters"]["dropped_transitions"] == {"malformed": 3.0}
+    assert troubles.dropped_steps == 3
+    assert troubles.latest == (
+        "environment a2s_test_envs:NanReward-v0: reward is nan, 3 transitions dropped"
+    )
+
+
+def test_an_environment_that_gives_nothing_usable_is_given_up_with_the_reason(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    rollout = _rollout("NanAlways", 1)
+    with pytest.raises(FaultyEnvironmentError, match=r"10 attempts in a row.*reward is nan"):
         list(rollout.play(Suggester(make_graph()), make_notice(quota_steps=7), _never))
-    assert tally.snapshot()["counters"]["dropped_transitions"] == {"malformed": 50.0}
     assert rollout.segments_made == 0
 
 
-def test_a_dropped_episode_is_not_counted_as_played(
+def test_a_batch_of_whole_episodes_is_met_by_those_that_had_to_be_cut(
     make_graph: MakeGraph, make_notice: MakeNotice
 ) -> None:
-    """The learner waits for two episodes that it can use."""
     notice = make_notice(quota_steps=1, quota_episodes=2)
     segments = list(_rollout("NanFirst", 1).play(Suggester(make_graph()), notice, _never))
-    assert [s.obs[0].tolist() for s in segments] == [[1, 0], [2, 0]]
+    assert [(s.num_steps, s.terminated, s.truncated) for s in segments] == [
+        (2, False, True),
+        (5, True, False),
+    ]
+
+
+def test_what_is_refused_at_the_end_of_a_quota_is_played_again(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    """An episode pays 1e9, 2e9, 3e9...: the return of its first six steps is more than 1e10."""
+    rollout, suggester = _rollout("PaysMost", 1), Suggester(make_graph())
+    for _ in range(4):
+        segments = list(rollout.play(suggester, make_notice(quota_steps=3), _never))
+        assert [(s.num_steps, s.episode_return) for s in segments] == [(3, 6e9)]
+
+
+def test_the_metrics_of_a_dropped_step_are_not_those_of_the_episode(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    segments = list(
+        _rollout("TellsNan", 1).play(Suggester(make_graph()), make_notice(quota_steps=7), _never)
+    )
+    assert [(s.num_steps, s.metrics) for s in segments][:2] == [(2, ()), (2, ())]
+    told = list(
+        _rollout("Tells", 1).play(Suggester(make_graph()), make_notice(quota_steps=7), _never)
+    )
+    assert [s.metrics for s in told] == [(EpisodeMetric(name="is_success", value=5.0),), ()]
 
 
 @pytest.fixture(autouse=True)

@@ -1,10 +1,12 @@
 """Evaluation: fresh episodes, the same again for the same seed, from a run or from a file."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from a2s import cli
 from a2s.commands.evaluate import evaluate_run
 from a2s.protocol.errors import UsageError
 
@@ -22,7 +24,7 @@ def policy(tmp_path: Path, make_graph: MakeGraph) -> Path:
 
 def _evaluate(run: Path, env: str | None = None, **changed: object) -> dict[str, object]:
     options = {"episodes": 4, "mode": "mean", "weights": "latest", "seed": 0, **changed}
-    return evaluate_run(run, env, **options)  # type: ignore[arg-type]
+    return evaluate_run(run, {"env": env}, **options)  # type: ignore[arg-type]
 
 
 def test_every_episode_is_played_to_its_end(policy: Path) -> None:
@@ -69,3 +71,18 @@ def test_a_file_that_is_no_policy_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.onnx").write_text("not a policy")
     with pytest.raises(UsageError, match=r"x.onnx: policy graph: cannot be loaded"):
         _evaluate(tmp_path / "x.onnx")
+
+
+def test_returns_of_any_size_can_be_told_apart(
+    policy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rewards of a millionth: 15e-6, not 0.0; and of one: 15.0."""
+    for env_id, said in (("CountTiny-v0", "1.5e-05 +- 0.0"), ("Count-v0", "15.0 +- 0.0")):
+        options = ["--env", f"a2s_test_envs:{env_id}", "--episodes", "2"]
+        monkeypatch.setattr(sys, "argv", ["a2s", "evaluate", str(policy), *options])
+        with pytest.raises(SystemExit):
+            cli.main()
+        value = said.split()[0]
+        assert capsys.readouterr().out == (
+            f"a2s_test_envs:{env_id}: {said} over 2 episodes (mean); from {value} to {value}\n"
+        )

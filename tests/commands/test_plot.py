@@ -1,10 +1,12 @@
 """Curves: the mean over seeds with a moving average of three, from runs as they are written."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from a2s import cli
 from a2s.commands.plot import identity, on_a_grid, plot, smooth
 from a2s.protocol.errors import UsageError
 
@@ -41,6 +43,18 @@ def test_a_picture_is_drawn_with_a_panel_for_each_environment(tmp_path: Path) ->
     runs.append(_run(tmp_path / "c", rows, env="Walker2d-v5"))
     plot(runs, tmp_path / "sub" / "curves.png")
     assert (tmp_path / "sub" / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_the_environment_told_has_a_panel_of_its_own(tmp_path: Path) -> None:
+    """From the first episode that told it."""
+    run = _run(tmp_path / "a", [(10 * i, float(i)) for i in range(1, 50)])
+    header, first, *lines = (run / "episodes.csv").read_text().splitlines()
+    told = [f"{header},is_success", f"{first},", *(f"{line},0.5" for line in lines)]
+    (run / "episodes.csv").write_text("\n".join(told) + "\n")
+    plot([run], tmp_path / "curves.svg")
+    drawn = (tmp_path / "curves.svg").read_text()
+    assert "<!-- Hopper-v5: is_success -->" in drawn
+    assert "<!-- is_success of an episode -->" in drawn
 
 
 def test_another_way_of_learning_has_another_colour_in_any_panel(tmp_path: Path) -> None:
@@ -84,6 +98,35 @@ def test_an_off_policy_run_is_called_by_its_own_preset(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("[hyper]", 'variant = "off-policy"\n[hyper]'))
     assert identity(run) == ("Hopper-v5", "off-policy modern, tau=0.01")
     plot([run], tmp_path / "curves.png")
+
+
+def test_runs_that_cannot_be_drawn_are_left_out_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are in the picture; it is no failure."""
+    good = _run(tmp_path / "a", [(10, 1.0), (20, 2.0)])
+    empty, none = _run(tmp_path / "b", []), tmp_path / "c"
+    picture = tmp_path / "curves.png"
+    arguments = ["a2s", "plot", *map(str, (empty, good, none)), "-o", str(picture)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    said = capsys.readouterr()
+    assert said.out == f"{picture}\n"
+    first, second = said.err.splitlines()
+    assert first == f"a2s: left out: {empty}/episodes.csv: no episode has ended yet"
+    assert second.startswith(f"a2s: left out: {none}: is not a run directory, no usable config")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_seed_that_begins_where_another_ends_is_drawn_too() -> None:
+    """The grid reaches to the first episode of each; the shorter one stays where it ended."""
+    short = np.array([10.0]), np.array([1.0])
+    late = np.array([500.0, 900.0]), np.array([5.0, 9.0])
+    steps, returns = on_a_grid([short, late])
+    assert steps[-1] == 497.5
+    assert np.allclose(returns, [[1.0], [5.0]])
 
 
 def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:

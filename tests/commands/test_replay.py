@@ -8,10 +8,12 @@ from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import onnxruntime
 import pytest
 import torch
+from a2s_test_envs import Count
 from replay_oracle import ENV_ID, SPACES, Oracle, make_segment
 
 from a2s import cli
@@ -179,7 +181,7 @@ def test_a_served_replay_is_described_and_sampled_the_same(
             assert arrays["obs"].shape == (256, 2)
             assert arrays["row"].min() >= 3
         assert run("info", "--connect", endpoint, monkeypatch=monkeypatch) == 1
-        assert "a2s/default/replay/info: no answer" in capsys.readouterr().err
+        assert "a2s/2/default/replay/info: no answer" in capsys.readouterr().err
         replay.close()
 
 
@@ -280,6 +282,57 @@ def test_minari_opens_what_is_exported(
         assert all(dataset.action_space.contains(action) for action in found.actions)
     assert run(*arguments, monkeypatch=monkeypatch) == 2
     assert "already exists" in capsys.readouterr().err
+
+
+def test_an_environment_that_was_registered_by_class_is_made_from_its_data_set(
+    stored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the name of the class."""
+    minari: Any = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    assert gymnasium.spec("Count-v0").entry_point is Count
+    root = tmp_path / "sets"
+    assert run("export", stored, "count-v0", "--root", root, monkeypatch=monkeypatch) == 0
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    dataset = minari.load_dataset("count-v0")
+    assert dataset.spec.env_spec.entry_point == "a2s_test_envs:Count"
+    made = dataset.recover_environment()
+    assert type(made.unwrapped) is Count
+
+
+def _rename(stored: Path, env_id: str) -> None:
+    file = stored / "replay" / "replay.json"
+    file.write_text(file.read_text().replace(ENV_ID, env_id))
+
+
+@pytest.mark.parametrize(
+    ("env_id", "why"),
+    [
+        ("a2s_test_envs:CountByFunction-v0", "it was registered with objects that cannot be"),
+        ("a2s_test_envs:CountByArray-v0", "it was registered with objects that cannot be"),
+        ("a2s_test_envs:NoSuch-v0", "Environment `NoSuch` doesn't exist"),
+        ("no_such_module:Count-v0", "No module named 'no_such_module'"),
+    ],
+)
+def test_an_environment_that_cannot_be_written_down_is_one_line(
+    stored: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    env_id: str,
+    why: str,
+) -> None:
+    """The data set is whole without it."""
+    minari: Any = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    _rename(stored, env_id)
+    root = tmp_path / "sets"
+    assert run("export", stored, "count-v0", "--root", root, monkeypatch=monkeypatch) == 0
+    _, line = capsys.readouterr().out.splitlines()
+    assert line.startswith(f"the environment's spec is not kept in it: {why}")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    dataset = minari.load_dataset("count-v0")
+    assert (dataset.total_steps, dataset.spec.env_spec) == (14, None)
 
 
 @pytest.mark.parametrize("how", ["option", "variable"])

@@ -7,11 +7,11 @@ import pytest
 from a2s.commands.train import train
 from a2s.learner.configuration import assemble
 from a2s.learner.run_directory import claimed
-from a2s.protocol.errors import A2SError, RunDirectoryError
+from a2s.protocol.errors import RunDirectoryError
 
 
-def _train(path: Path, *, resume: bool = False) -> None:
-    train(
+def _train(path: Path, *, resume: bool = False) -> int:
+    return train(
         assemble({"env": "a2s_test_envs:Reach-v0"}, {}),
         path,
         listen=None,
@@ -42,7 +42,10 @@ def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) ->
     assert [file.name for file in tmp_path.iterdir()] == ["lock"]
 
 
-def test_a_resume_that_the_learner_refuses_is_not_advised_again(tmp_path: Path) -> None:
+def test_a_learner_that_cannot_begin_has_the_last_word(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its one line says why; no other advises to resume again."""
     (tmp_path / "config.toml").touch()  # without a checkpoint
-    with pytest.raises(A2SError, match=r"^the learner ended with code 1; nothing was begun$"):
-        _train(tmp_path, resume=True)
+    assert _train(tmp_path, resume=True) == 1
+    assert capfd.readouterr().err.splitlines()[-1].startswith(f"a2s: {tmp_path}")

@@ -132,6 +132,23 @@ def test_action_stays_within_asymmetric_bounds() -> None:
     assert (action == HIGH.numpy()).any()
 
 
+def test_tiny_and_silent_observations_are_those_of_the_suggester() -> None:
+    """Of a millionth, always 0, always 8.9, and a million that varies by its rounding alone."""
+    suggester = make("soft")
+    obs = torch.randn(33, 4) * torch.tensor([1e-6, 0.0, 0.0, 0.06])
+    obs += torch.tensor([0.0, 0.0, 8.9, 1e6])
+    suggester.normaliser = Normaliser(4, enabled=True)
+    suggester.normaliser.update(obs)
+    obs[0, 1:3] = 1.0
+    normal, gumbel = torch.zeros(33, 5, 3), torch.zeros(33, 5)
+    with torch.no_grad():
+        expected = suggester(obs, normal, gumbel).suggestion
+    feed = {"obs": obs.numpy(), "normal": normal.numpy(), "gumbel": gumbel.numpy()}
+    (found,) = session(export(suggester, 0, {})).run(["suggestion"], feed)
+    np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
+    assert (np.ptp(found, axis=0) > 0.1).all()  # what is a millionth is seen
+
+
 def test_noise_chooses_the_way_of_acting() -> None:
     """Zero noise is the mean; a mean among the candidates is never beaten by a worse one."""
     suggester = make("soft")

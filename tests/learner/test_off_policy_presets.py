@@ -86,8 +86,11 @@ def test_overrides_are_read_by_the_type_of_their_field(
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"act_suggestions": 0}, "act_suggestions: found 0, expected an integer from 1 to 1024"),
-        ({"warm_up_steps": 0}, "warm_up_steps: found 0, expected an integer of at least 1"),
+        (
+            {"act_suggestions": 0},
+            "act_suggestions: found 0, expected a whole number from 1 to 1024",
+        ),
+        ({"warm_up_steps": 0}, "warm_up_steps: found 0, expected a whole number of at least 1"),
         ({"tau": 0}, "tau: found 0.0, expected a number from 1e-06 to 1"),
         ({"network": "cnn"}, "network: found 'cnn', expected one of mlp, residual, trunk"),
         (
@@ -96,7 +99,10 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ),
         ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
         ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
-        ({"replay_rows": 10**18}, r"replay_rows: found 10+, expected an integer from 1 to 1e\+09"),
+        (
+            {"replay_rows": 10**18},
+            r"replay_rows: found 10+, expected a whole number from 1 to 1e\+09",
+        ),
         ({"replay_rows": 9}, r"batch_rows: found 256, expected at most replay_rows \(9\)"),
         (
             {"send_every_steps": 300, "lead_steps": 300, "replay_rows": 256},

@@ -6,10 +6,11 @@ import math
 import pytest
 
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
-from a2s.learner.presets import PRESETS, choices, on_policy, parse
+from a2s.learner.overrides import parse
+from a2s.learner.presets import PRESETS, choices, on_policy
 from a2s.protocol.errors import UsageError
 
-NAMES = [field.name for field in dataclasses.fields(OnPolicyHyper)]
+TYPES = {field.name: field.type for field in dataclasses.fields(OnPolicyHyper)}
 
 
 @pytest.mark.parametrize("algo", ["a2s", "a2c"])
@@ -17,7 +18,7 @@ NAMES = [field.name for field in dataclasses.fields(OnPolicyHyper)]
 def test_every_preset_is_complete_and_valid(preset: str, algo: str) -> None:
     """Each value has a source."""
     hyper = on_policy(preset, algo, {})
-    assert sorted(choices(preset, algo)) == sorted(NAMES)
+    assert sorted(choices(preset, algo)) == sorted(TYPES)
     assert hyper.uses_q is (algo == "a2s")
     assert all(choice.source for choice in choices(preset, algo).values())
 
@@ -41,6 +42,9 @@ def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> Non
     ("name", "text", "value"),
     [
         ("suggestions", "16", 16),
+        ("batch_steps", "1e4", 10_000),
+        ("batch_steps", "4096.0", 4096),
+        ("batch_steps", 1e4, 10_000),
         ("gamma", ".9", 0.9),
         ("kl_stop", "inf", math.inf),
         ("learn_std", "false", False),
@@ -50,6 +54,7 @@ def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> Non
         ("q_sizes", "[256, 128]", (256, 128)),
         ("q_sizes", "32", (32,)),
         ("q_sizes", [32, 16], (32, 16)),
+        ("q_sizes", [32.0, 16], (32, 16)),
         ("gamma", 1, 1.0),
     ],
 )
@@ -65,17 +70,23 @@ def test_overrides_are_read_by_the_type_of_their_field(
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"suggestions": 0}, "suggestions: found 0, expected an integer from 1 to 1024"),
-        ({"suggestions": "ten"}, "suggestions: found 'ten', expected int"),
-        ({"suggestions": True}, "suggestions: found True, expected an integer from 1 to 1024"),
-        ({"batch_steps": "0"}, "batch_steps: found 0, expected an integer of at least 1"),
+        ({"suggestions": 0}, "suggestions: found 0, expected a whole number from 1 to 1024"),
+        ({"suggestions": "ten"}, "suggestions: found 'ten', expected a whole number"),
+        ({"suggestions": True}, "suggestions: found True, expected a whole number from 1 to 1024"),
+        ({"batch_steps": "1.5e0"}, "batch_steps: found '1.5e0', expected a whole number"),
+        ({"batch_steps": "nan"}, "batch_steps: found 'nan', expected a whole number"),
+        ({"batch_steps": 0.5}, "batch_steps: found 0.5, expected a whole number"),
+        ({"batch_steps": math.inf}, "batch_steps: found inf, expected a whole number"),
+        ({"suggestions": "1e9"}, "suggestions: found 10+, expected a whole number from 1 to 1024"),
+        ({"q_sizes": [1.5]}, r"q_sizes: found \[1.5\], expected whole numbers such as 64,64"),
+        ({"batch_steps": "0"}, "batch_steps: found 0, expected a whole number of at least 1"),
         ({"gamma": "nan"}, "gamma: found nan, expected a number from 1e-06 to 1"),
         ({"gamma": 1.5}, "gamma: found 1.5, expected a number from 1e-06 to 1"),
         ({"selection": "sotf"}, "selection: found 'sotf', expected one of hard, soft"),
-        ({"layer_norm": "maybe"}, "layer_norm: found 'maybe', expected bool"),
+        ({"layer_norm": "maybe"}, "layer_norm: found 'maybe', expected true or false"),
         ({"layer_norm": 1}, "layer_norm: found 1, expected true or false"),
-        ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected integers such as 64,64"),
-        ({"q_sizes": "64,0"}, "q_sizes: found 0, expected an integer from 1 to 65536"),
+        ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected whole numbers such as 64,64"),
+        ({"q_sizes": "64,0"}, "q_sizes: found 0, expected a whole number from 1 to 65536"),
         ({"distil_top": 11}, r"distil_top: found 11, expected at most distil_suggestions \(10\)"),
         ({"min_episodes": 3}, "min_episodes: found 3, expected 0 while whole_episodes is false"),
         (
@@ -114,7 +125,7 @@ def test_values_are_parsed_alike_from_text_and_file() -> None:
     """Every value of a preset survives being printed."""
     for name, choice in choices("modern", "a2s").items():
         text = str(choice.value).strip("()")
-        assert parse(name, text) == choice.value
+        assert parse(name, text, TYPES) == choice.value
 
 
 def test_batches_grow_from_the_first_to_the_last_size() -> None:

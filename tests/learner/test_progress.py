@@ -23,6 +23,12 @@ def test_a_plain_line_has_every_number() -> None:
     )
 
 
+def test_tiny_returns_are_not_0() -> None:
+    out = io.StringIO()
+    PlainView(out).show(replace(NOW, return_mean=-3.21e-6, return_best=None))
+    assert " return=-3.21e-06 best=- " in out.getvalue()
+
+
 def test_lines_come_every_few_seconds_not_at_every_call() -> None:
     out = io.StringIO()
     view = PlainView(out)

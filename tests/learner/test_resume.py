@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from a2s.actors.environment import describe
+from a2s.actors.environments.environment import Environment
 from a2s.learner.configuration import assemble
 from a2s.learner.learner import Learner
 from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.progress import PlainView
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.in_process import Exchange, InProcessBus
 
@@ -20,7 +21,8 @@ ROW = "1000.000,8,0,1,2.5,8,0\r\n"
 def _learner(path: Path, *, resume: bool) -> Learner:
     return Learner(
         configuration=assemble({"env": ENV}, {}),
-        spaces=describe(ENV),
+        spaces=Environment(EnvConfig(env_id=ENV)).spaces,
+        layout=(),
         bus=InProcessBus(Exchange()),
         path=path,
         metrics=LearnerMetrics(),

@@ -25,6 +25,8 @@ class Count(gymnasium.Env[Obs, Obs]):
         nan_episodes: Of so many episodes from the first.
         low: Lowest action.
         high: Highest action.
+        reward: Unit of the rewards.
+        tells: The number of the step, as ``is_success``.
     """
 
     def __init__(
@@ -36,6 +38,8 @@ class Count(gymnasium.Env[Obs, Obs]):
         nan_episodes: float = float("inf"),
         low: tuple[float, ...] = (-1.0, 0.5),
         high: tuple[float, ...] = (3.0, 0.75),
+        reward: float = 1.0,
+        tells: bool = False,
     ) -> None:
         self.observation_space = spaces.Box(-np.inf, np.inf, (2,), np.dtype(dtype).type)
         self.action_space = spaces.Box(
@@ -43,7 +47,7 @@ class Count(gymnasium.Env[Obs, Obs]):
         )
         self._length, self._terminates = length, terminates
         self._nan_at, self._nan_episodes = nan_at, nan_episodes
-        self._dtype = dtype
+        self._dtype, self._reward, self._tells = dtype, reward, tells
         self._episode, self._step = -1, 0
 
     def _obs(self) -> Obs:
@@ -62,10 +66,11 @@ class Count(gymnasium.Env[Obs, Obs]):
         if not self.action_space.contains(action):
             raise ValueError(f"action {action} is outside {self.action_space}")
         is_nan = self._step == self._nan_at and self._episode < self._nan_episodes
-        reward = float("nan") if is_nan else float(self._step + 1)
+        reward = float("nan") if is_nan else self._reward * (self._step + 1)
         self._step += 1
         over = self._step >= self._length
-        return self._obs(), reward, over and self._terminates, over and not self._terminates, {}
+        info = {"is_success": self._step} if self._tells else {}
+        return self._obs(), reward, over and self._terminates, over and not self._terminates, info
 
 
 class Crash(Count):
@@ -116,10 +121,17 @@ def _register(name: str, entry: Any, **kwargs: Any) -> None:
 
 _BOX = spaces.Box(-1.0, 1.0, (2,), np.float32)
 _register("Count", Count)
+_register("CountByFunction", lambda: Count())
+_register("CountByArray", Count, low=np.array((-1.0, 0.5)))
 _register("CountTruncated", Count, terminates=False)
 _register("CountFloat32", Count, dtype="float32")
 _register("CountWide", Count, low=(-1.0, 0.5, 0.0), high=(3.0, 0.75, 1.0))
+_register("CountTiny", Count, reward=1e-6)
 _register("NanReward", Count, nan_at=2)
+_register("Tells", Count, tells=True)
+_register("TellsNan", Count, tells=True, nan_at=2)
+_register("PaysMost", Count, length=8, reward=1e9)
+_register("NanAlways", Count, nan_at=0)
 _register("NanFirst", Count, nan_at=2, nan_episodes=1)
 _register("Crash", Crash)
 _register("Reach", Reach)

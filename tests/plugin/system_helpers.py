@@ -50,8 +50,13 @@ class Command:
     def workers(self) -> list[psutil.Process]:
         """The living worker processes below it."""
         found = psutil.Process(self.process.pid).children(recursive=True)
-        alive = [p for p in found if is_alive(p.pid)]
-        return [p for p in alive if "a2s.actors.worker" in " ".join(p.cmdline())]
+        alive = [p for p in found if is_alive(p.pid) and _is_worker(p)]
+        # What a worker has forked has its command line.
+        return [p for p in alive if not any(_is_worker(q) for q in p.parents())]
+
+
+def _is_worker(process: psutil.Process) -> bool:
+    return "a2s.actors.worker" in " ".join(process.cmdline())
 
 
 Start = Callable[..., Command]

@@ -4,20 +4,32 @@ import json
 import re
 import types
 import typing
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
+from a2s.learner.configuration import RunConfig
+from a2s.learner.graph import CONTRACT
 from a2s.learner.off_policy_learning import OffPolicyLearning
+from a2s.learner.policy_metadata import policy_metadata
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
-from a2s.protocol.fields import Spaces
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.fields import MOST_METRICS, Spaces
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.messages import MOST_PLAYED, MOST_SUGGESTED, Ack, Segment, Verdict
+from a2s.protocol.messages import (
+    MOST_PLAYED,
+    MOST_SUGGESTED,
+    Ack,
+    EpisodeMetric,
+    Segment,
+    Verdict,
+)
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
-DESCRIBED = (Spaces, *typing.get_args(Message))
+DESCRIBED = (Spaces, EnvConfig, EpisodeMetric, *typing.get_args(Message))
 
 
 def section(heading: str) -> str:
@@ -62,6 +74,21 @@ def test_the_table_of_a_message_has_exactly_its_fields_and_their_types(kind: typ
     assert all(meaning for *_, meaning in table)
 
 
+@pytest.mark.parametrize("kind", DESCRIBED)
+def test_the_defaults_are_those_of_the_code(kind: type) -> None:
+    """Whoever reads a message without the field has to take the same."""
+    found = {
+        name: json.loads(default[1].replace("nil", "null"))
+        for name, _, meaning in rows(section(kind.__name__))
+        if (default := re.search(r"; default (.*)$", meaning))
+    }
+    assert found == {
+        f.name: list(f.default) if isinstance(f.default, tuple) else f.default
+        for f in fields(kind)
+        if f.default is not MISSING
+    }
+
+
 def test_there_is_no_message_that_does_not_exist() -> None:
     """One that was removed from the code goes from the page."""
     headings = re.findall(r"^### (\w+)$", section_of_messages(), re.M)
@@ -89,11 +116,18 @@ def test_the_largest_numbers_are_those_of_the_code() -> None:
     ]
 
 
+def test_the_most_metrics_are_those_of_the_code() -> None:
+    """Those of the run and those of a segment: `is_success` is always one."""
+    assert f"at most {MOST_METRICS};" in section("Segment")
+    assert f"at most {MOST_METRICS - 1} others;" in section("EnvConfig")
+
+
 def test_the_keys_are_those_of_the_code() -> None:
     """Each at least once, and no other."""
     keys = Keys("RUN")
     assert {row[0] for row in rows(section("Keys"))} == {
         keys.hello,
+        keys.hello_of_major_1,
         keys.segment,
         keys.notice,
         keys.weights,
@@ -111,8 +145,28 @@ def test_the_verdicts_version_and_endpoint_are_those_of_the_code() -> None:
     """What is written in running text changes with the code as well."""
     verdicts = [row[0] for row in rows(section("Sending"))]
     assert verdicts == list(typing.get_args(Verdict))
-    assert f'`"a2s"`: the schema version, the integer **{SCHEMA_VERSION}**' in PAGE
+    assert f'`"a2s"`: the major version, the integer **{SCHEMA_VERSION}**' in PAGE
+    assert f"This is version {SCHEMA_VERSION} of the protocol." in PAGE
     assert f'`["{DEFAULT_ENDPOINT}"]`' in PAGE
+
+
+def test_the_metadata_of_a_graph_are_those_of_the_code(
+    make_graph: typing.Callable[..., bytes],
+) -> None:
+    """What a graph says of itself, and what the learner knows of the environment."""
+    spaces = Spaces(
+        obs_size=1,
+        action_low=np.array([-1], np.float32),
+        action_high=np.array([1], np.float32),
+        obs_offset=np.array([1000], np.float32),
+    )
+    told = policy_metadata(RunConfig(env="E"), spaces, [("position", 1)])
+    own = {entry.key for entry in onnx.load_from_string(make_graph()).metadata_props}
+    table = rows(section("The graph"))
+    first = [name for name, *_ in table].index("contract")
+    assert {name for name, *_ in table[first:]} == {*own, *told}
+    assert table[first][1].startswith(f"{CONTRACT}`:")
+    assert json.loads(told["environment"]).keys() == {f.name for f in fields(EnvConfig)}
 
 
 @pytest.mark.parametrize(("index", "kind"), [(0, Ack), (1, Segment)])
@@ -131,12 +185,15 @@ def test_the_hex_dumps_are_messages_with_the_values_beside_them(
     assert text == "".join(line for *_, line in lines)
 
     message = decode(payload, kind)
-    found = {f.name: getattr(message, f.name) for f in fields(message)}
     assert json.loads(values) == {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in found.items()
+        name: value.tolist() if isinstance(value, np.ndarray) else _listed(value)
+        for name, value in asdict(message).items()
     }
     assert encode(message) == payload
+
+
+def _listed(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def test_no_line_is_longer_than_a_screen() -> None:

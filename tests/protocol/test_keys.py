@@ -5,14 +5,16 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
-from a2s.protocol.keys import Keys
+from a2s.protocol.keys import MAJOR, Keys
 
 
 def all_keys(keys: Keys, actor: str) -> list[str]:
     """Return every key of a run."""
     return [
         keys.hello,
+        keys.hello_of_major_1,
         keys.segment,
         keys.notice,
         keys.weights,
@@ -29,18 +31,42 @@ def all_keys(keys: Keys, actor: str) -> list[str]:
 def test_the_keys_are_those_of_the_protocol() -> None:
     """An actor of another language has them written in its source."""
     assert all_keys(Keys("walk"), "h-1") == [
+        "a2s/2/walk/hello",
         "a2s/walk/hello",
-        "a2s/walk/segment",
-        "a2s/walk/notice",
-        "a2s/walk/weights",
-        "a2s/walk/recovery",
-        "a2s/walk/actor/h-1",
-        "a2s/walk/status",
-        "a2s/walk/replay/info",
-        "a2s/walk/replay/sample",
-        "a2s/walk/live/learner",
-        "a2s/walk/live/actor/h-1",
+        "a2s/2/walk/segment",
+        "a2s/2/walk/notice",
+        "a2s/2/walk/weights",
+        "a2s/2/walk/recovery",
+        "a2s/2/walk/actor/h-1",
+        "a2s/2/walk/status",
+        "a2s/2/walk/replay/info",
+        "a2s/2/walk/replay/sample",
+        "a2s/2/walk/live/learner",
+        "a2s/2/walk/live/actor/h-1",
     ]
+
+
+def test_the_major_version_of_keys_and_messages_is_the_same() -> None:
+    """A peer of another one hears silence, or is refused."""
+    assert MAJOR == SCHEMA_VERSION == 2
+
+
+def keys_of_major_1(run: str) -> list[str]:
+    """Return every key that protocol 1 had for a run, of every actor."""
+    rest = (
+        "hello", "segment", "notice", "weights", "recovery", "actor/*", "status", "replay/info",
+        "replay/sample", "live/learner", "live/actor/*",
+    )  # fmt: skip
+    return [f"a2s/{run}/{name}" for name in rest]
+
+
+@pytest.mark.parametrize("run", ["walk", "2"])
+def test_only_the_hello_of_protocol_1_is_heard(run: str) -> None:
+    """Also where a run has a version's number for its name, in either protocol."""
+    old = [zenoh.KeyExpr(key) for key in keys_of_major_1(run)]
+    for key in all_keys(Keys(run), "*"):
+        heard = [str(k) for k in old if zenoh.KeyExpr(key).intersects(k)]
+        assert heard == ([key] if key == Keys(run).hello_of_major_1 else [])
 
 
 def test_no_two_keys_of_a_run_overlap() -> None:

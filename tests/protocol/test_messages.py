@@ -8,7 +8,15 @@ import pytest
 
 from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.fields import Array, Spaces, is_name
-from a2s.protocol.messages import Ack, Hello, Notice, Segment
+from a2s.protocol.messages import (
+    MOST_METRICS,
+    Ack,
+    ActorStatus,
+    EpisodeMetric,
+    Hello,
+    Notice,
+    Segment,
+)
 
 
 def zeros(*shape: int) -> Array:
@@ -80,6 +88,16 @@ def make_notice(**changes: Any) -> Notice:
             {"action_low": zeros(2)},  # as high as action_high
             "spaces: found low >= high, expected low below high everywhere",
         ),
+        ({"obs_offset": zeros(2)}, "spaces: obs_offset: found (2,), expected (3,)"),
+        ({"obs_offset": zeros(3, 1)}, "spaces: obs_offset: found (3, 1), expected (3,)"),
+        (
+            {"obs_offset": zeros(3) + np.nan},
+            "spaces: obs_offset: found 3 non-finite values, expected finite numbers",
+        ),
+        (
+            {"obs_offset": np.array([0, np.inf, -np.inf], np.float32)},
+            "spaces: obs_offset: found 2 non-finite values, expected finite numbers",
+        ),
     ],
 )
 def test_impossible_spaces_are_refused(changes: dict[str, Any], reason: str) -> None:
@@ -100,6 +118,7 @@ def test_impossible_spaces_are_refused(changes: dict[str, Any], reason: str) -> 
         ),
         ({"action_low": zeros(2) - 2}, "action_low [-2.0, -2.0], expected [-1.0, -1.0]"),
         ({"action_high": zeros(2) + 2}, "action_high [2.0, 2.0], expected [0.0, 0.0]"),
+        ({"obs_offset": zeros(3) + 1}, ""),  # the learner's choice
     ],
 )
 def test_the_difference_of_spaces_says_what_the_other_has(
@@ -197,6 +216,64 @@ def test_a_segment_of_a_nameless_actor_is_refused() -> None:
     """Nobody could be told about it."""
     with pytest.raises(MalformedMessageError, match=r"^segment: actor: found 'a/b', expected"):
         make_segment(actor="a/b")
+
+
+@pytest.mark.parametrize("actor", ["", "a/b", "x\n" * 100_000])
+def test_a_status_of_a_nameless_actor_is_refused(actor: str) -> None:
+    """The learner shows the names of those who have not joined yet."""
+    with pytest.raises(MalformedMessageError, match=r"^actor status: actor: found '"):
+        ActorStatus(
+            actor=actor,
+            slot=-1,
+            weights_version=0,
+            epoch=0,
+            env_steps=0,
+            episodes=0,
+            segments_sent=0,
+            segments_answered=0,
+            spooled_steps=0,
+            leaving=False,
+        )
+
+
+def test_a_segment_has_a_bounded_number_of_metrics() -> None:
+    """Each is a column of a table and a gauge."""
+    metrics = tuple(EpisodeMetric(name=f"m{i}", value=1.0) for i in range(MOST_METRICS + 1))
+    assert make_segment(metrics=metrics[1:], terminated=True).metrics == metrics[1:]
+    with pytest.raises(MalformedMessageError) as caught:
+        make_segment(metrics=metrics, terminated=True)
+    assert str(caught.value) == "segment h-1/7: metrics: found 33, expected at most 32"
+
+
+@pytest.mark.parametrize(
+    "name", ["is_success", "a", "dist to goal, m", 'é/"ü"', "路", "x" * 96, " "]
+)
+@pytest.mark.parametrize("value", [0.0, -1e300])
+def test_a_metric_has_a_name_that_can_be_shown(name: str, value: float) -> None:
+    """Commas and quotes are written as CSV and Prometheus write them."""
+    assert EpisodeMetric(name=name, value=value).name == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "x" * 97, "a\nb", "a\r", "\t", "a\0", "\x1b[31m", "\x7f", "a\u2028b", "\u202e", "\ud800",
+     "x\n" * 400_000],
+)  # fmt: skip
+def test_a_metric_with_another_name_is_refused(name: str) -> None:
+    """It would break the line that it is written to, or deceive who reads it."""
+    with pytest.raises(MalformedMessageError, match=r"^metric: name: found '") as caught:
+        EpisodeMetric(name=name, value=1.0)
+    assert str(caught.value).endswith(", expected 1 to 96 printable characters")
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_a_metric_is_a_finite_number(value: float) -> None:
+    """One that is none makes none of every mean."""
+    with pytest.raises(MalformedMessageError) as caught:
+        EpisodeMetric(name="x", value=value)
+    assert str(caught.value) == f"metric x: found {value}, expected a finite number"
 
 
 def test_the_reason_does_not_grow_with_what_was_found() -> None:

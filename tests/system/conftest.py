@@ -21,7 +21,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
         log = tmp_path / f"{arguments[0]}-{len(commands)}.log"
         with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, "-m", "a2s.cli", *arguments],
+                [sys.executable, "-P", "-m", "a2s.cli", *arguments],
                 cwd=tmp_path,
                 stdout=out,
                 stderr=subprocess.STDOUT,

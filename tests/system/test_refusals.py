@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from system_helpers import FAST, PATIENCE_S, Start, metrics_port, scrape
 
-from a2s.actors.environment import describe
+from a2s.actors.environments.environment import Environment
 from a2s.protocol.codec import MAX_BYTES, decode, encode
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Ack, ActorStatus, Hello, Refusal, Segment, Welcome
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -58,7 +59,8 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
         "--metrics-port", "0", "--total-steps", "4000", "--n", "2",
     )  # fmt: skip
     wait_for(lambda: "/metrics" in learner.text(), "the learner")
-    port, keys, spaces = metrics_port(learner), Keys("default"), describe(ENV)
+    port, keys = metrics_port(learner), Keys("default")
+    spaces = Environment(EnvConfig(env_id=ENV)).spaces
     hello = encode(Hello(actor="peer", num_envs=1, env_id=ENV, spaces=spaces))
 
     with closing(ZenohBus.connect(endpoint, lambda: True)) as bus:
@@ -75,7 +77,7 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
             return answer.reason
 
         wait_for(lambda: bus.ask(keys.notice, b"", 5.0), "the first weights")
-        assert "schema 99, this is 1" in refused(keys.hello, _with(hello, a2s=99))
+        assert "protocol 99, this is 2" in refused(keys.hello, _with(hello, a2s=99))
         other = encode(Hello(actor="peer", num_envs=1, env_id="Hopper-v5", spaces=spaces))
         assert f"found Hopper-v5, expected {ENV}" in refused(keys.hello, other)
         wide = replace(spaces, obs_size=3)
@@ -88,7 +90,7 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
         assert "not msgpack" in refused(keys.segment, b"\xc1garbage")
         assert "expected at most" in refused(keys.segment, bytes(MAX_BYTES[Segment] + 1))
         assert "reward: found nan" in refused(keys.segment, _with_nan(good))
-        assert "schema 99" in refused(keys.segment, _with(encode(good), a2s=99))
+        assert "protocol 99" in refused(keys.segment, _with(encode(good), a2s=99))
         stranger = _segment(welcome, actor="stranger")
         unknown = ask(keys.segment, encode(stranger))
         assert isinstance(unknown, Ack)

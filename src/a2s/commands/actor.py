@@ -40,6 +40,7 @@ def act(
     tasks = [
         Task(
             label=f"{host or 'host'}-{index}",
+            worker=index,
             connect=connect,
             run=run,
             num_envs=envs,

@@ -5,14 +5,16 @@ from contextlib import ExitStack
 import numpy as np
 import torch
 
-from a2s.actors.environment import Environment
+from a2s.actors.environments.environment import Environment
 from a2s.actors.metrics import Tally
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
+from a2s.actors.troubles import Troubles
 from a2s.commands.bench import Contender, Contest
 from a2s.learner.algorithm.on_policy import OnPolicy
 from a2s.learner.export import export
 from a2s.learner.presets import on_policy
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Notice
 
@@ -34,9 +36,9 @@ def contests(stack: ExitStack) -> list[Contest]:
 
 
 def _acting(env_id: str, suggestions: int) -> Contender:
-    environments = [Environment(env_id) for _ in range(ENVS)]
+    environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(ENVS)]
     suggester = Suggester(_graph(environments[0].spaces, suggestions))
-    rollout = Rollout("bench", environments, 0, Tally())
+    rollout = Rollout("bench", environments, 0, Tally(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=STEPS, quota_episodes=0, num_bytes=1,
         sha256="",
@@ -57,7 +59,7 @@ def _graph(spaces: Spaces, suggestions: int) -> bytes:
 
 def _bare(env_id: str) -> Contender:
     """Step with random actions that were drawn before, and reset; nothing is recorded."""
-    environment = Environment(env_id)
+    environment = Environment(EnvConfig(env_id=env_id))
     spaces, rng = environment.spaces, np.random.default_rng(0)
     size = (STEPS, len(spaces.action_low))
     actions = rng.uniform(spaces.action_low, spaces.action_high, size).astype(np.float32)

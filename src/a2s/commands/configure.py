@@ -1,6 +1,8 @@
 """From options to a configuration: the one path for ``learner`` and ``train``."""
 
+import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -8,7 +10,8 @@ from typing import Any
 from a2s.learner import configuration, run_directory
 from a2s.learner.configuration import Configuration
 from a2s.learner.presets import recovery_of
-from a2s.protocol.errors import UsageError
+from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
+from a2s.protocol.errors import MalformedMessageError, UsageError
 
 ROOT = Path("runs")
 
@@ -37,6 +40,10 @@ def configure(
         UsageError: Something is unknown, impossible or in use.
     """
     given = {name: value for name, value in options.items() if value is not None}
+    if "env" in given:
+        given["env"] = placed(given["env"])
+    if "wrappers" in given:
+        given["wrappers"] = tuple(placed(wrapper) for wrapper in given["wrappers"])
     if "lockstep" in given:
         given["clock"] = "lockstep" if given.pop("lockstep") else "async"
     hyper = configuration.parse_settings(settings or [])
@@ -59,7 +66,48 @@ def configure(
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
     if not resume:
         path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)
-    return assembled, path
+    return assembled, path.absolute()
+
+
+def placed(env: str) -> str:
+    """Name the file of an environment, if it is one, wherever it is named from."""
+    place, py, name = env.partition(".py:")
+    return f"{Path(place).absolute()}{py}{name}" if py and "=" not in place else env
+
+
+def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -> EnvConfig:
+    """Make the configuration of an environment from options alone.
+
+    Args:
+        options: ``env`` and those of :func:`a2s.commands.options.environment`; ``None`` where not
+            given.
+        known: What holds where they say nothing, of a run; another ``env`` has nothing of it, and
+            arguments of the constructor are added to its own.
+
+    Raises:
+        UsageError: An option is impossible, or there is no environment.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    env = placed(given.pop("env")) if "env" in given else None
+    if env is None and known is None:
+        raise UsageError("the policy does not say its environment; name it with --env")
+    if env is not None:
+        is_known = known is not None and Path(env).name == Path(known.env_id).name
+        known = replace(known, env_id=env) if known and is_known else EnvConfig(env_id=env)
+    assert known is not None
+    for setting in given.get("wrappers", ()):
+        wrapper_of(setting)
+    if "env_kwargs" in given:
+        added = json.loads(kwargs_of(given.pop("env_kwargs")))
+        given["kwargs"] = json.dumps({**json.loads(known.kwargs), **added})
+    if "wrappers" in given:
+        given["wrappers"] = tuple(placed(wrapper) for wrapper in given["wrappers"])
+    if "env_timeout_s" in given:
+        given["timeout_s"] = given.pop("env_timeout_s")
+    try:
+        return replace(known, **given)
+    except MalformedMessageError as error:
+        raise UsageError(str(error)) from None
 
 
 def _move_shorthands(

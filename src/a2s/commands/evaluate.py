@@ -1,26 +1,49 @@
 """``a2s evaluate``: fresh episodes with the policy of a run, or with a policy file."""
 
 import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from a2s.actors.evaluation import evaluate, read_policy
 from a2s.actors.suggester import Mode
-from a2s.protocol.errors import UsageError, nearest
+from a2s.commands.configure import environment_of
+from a2s.commands.serving import pass_on
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
 
 _WEIGHTS = ("latest", "best")
+_ENVS = 8
 
 
 def evaluate_run(
-    run: Path, env: str | None, *, episodes: int, mode: str, weights: str, seed: int
+    run: Path,
+    options: Mapping[str, Any],
+    *,
+    episodes: int,
+    mode: str,
+    weights: str,
+    seed: int,
+    proceed: Callable[[], bool] = lambda: True,
 ) -> dict[str, Any]:
     """Evaluate a run directory or a policy file.
 
+    Args:
+        run: Either.
+        options: Of the environment, as `environment_of` takes them, where they are not the run's.
+        episodes: How many to play.
+        mode: How to act.
+        weights: ``latest`` or ``best``, of a run.
+        seed: Of the episodes.
+        proceed: Asked again and again; when false, the evaluation ends.
+
     Returns:
-        The JSON object of ``a2s evaluate --json``.
+        The JSON object of ``a2s evaluate --json``; empty when told not to proceed.
 
     Raises:
         UsageError: There is no policy, or it does not fit the environment.
+        FaultyEnvironmentError: The environment raised, hung, or gave what none may.
     """
     if weights not in _WEIGHTS:
         raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
@@ -28,13 +51,21 @@ def evaluate_run(
     if known is None:
         raise UsageError(f"--mode: found {mode!r}{nearest(mode, get_args(Mode))}")
     path = run / weights / "policy.onnx" if run.is_dir() else run
-    policy = read_policy(path, known)
-    env_id = env or (_env_of(run) if run.is_dir() else policy.metadata.get("env"))
-    if not env_id:
-        raise UsageError(f"{path}: does not say its environment; name it with --env")
-    result = evaluate(policy, env_id, episodes, seed)
+    config = environment_of(options, _of_policy(path, known))
+    result = evaluate(
+        path.absolute(),
+        known,
+        config,
+        episodes=episodes,
+        num_envs=_envs_of(run),
+        seed=seed,
+        on_words=pass_on,
+        proceed=proceed,
+    )
+    if result is None:
+        return {}
     return {
-        "env": env_id,
+        "env": config.env_id,
         "mode": mode,
         "weights": weights if run.is_dir() else str(path),
         "episodes": episodes,
@@ -42,11 +73,24 @@ def evaluate_run(
         "std": result.std,
         "returns": list(result.returns),
         "lengths": list(result.lengths),
+        "info_metrics": result.metrics,
     }
 
 
-def _env_of(run: Path) -> str:
+def _of_policy(path: Path, mode: Mode) -> EnvConfig | None:
+    """Read what the policy was trained on from its file."""
+    metadata = read_policy(path, mode).metadata
+    if "environment" not in metadata:
+        return EnvConfig(env_id=metadata["env"]) if metadata.get("env") else None
     try:
-        return str(tomllib.loads((run / "config.toml").read_text())["run"]["env"])
-    except (OSError, tomllib.TOMLDecodeError, KeyError):
-        raise UsageError(f"{run}: is not a run directory, it has no usable config.toml") from None
+        return replace(EnvConfig.from_json(metadata["environment"]), env_id=metadata["env"])
+    except (ValueError, TypeError, KeyError, MalformedMessageError) as error:
+        raise UsageError(f"{path}: its metadata 'environment' cannot be read: {error}") from None
+
+
+def _envs_of(run: Path) -> int:
+    """Environments in each process of the run; as many as by default, where it is not known."""
+    try:
+        return int(tomllib.loads((run / "config.toml").read_text())["run"]["envs"])
+    except (OSError, tomllib.TOMLDecodeError, KeyError, ValueError):
+        return _ENVS

@@ -12,8 +12,8 @@ from typing import Any
 
 import torch
 
-from a2s.actors.environment import describe
-from a2s.commands.serving import serve_on
+from a2s.actors.description import describe
+from a2s.commands.serving import pass_on, serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner import run_directory
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
@@ -56,9 +56,12 @@ def learn(
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
     _require_device(run.device)
-    spaces = describe(run.env)
     metrics = LearnerMetrics()
     metrics.run.info({"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)})
+    with stop_on_signals() as stop:
+        described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
+    if described is None or stop.interrupted:
+        return EXIT_INTERRUPTED
     with (
         stop_on_signals() as stop,
         closing(ZenohBus.listen(endpoint)) as bus,
@@ -71,7 +74,8 @@ def learn(
         with closing(make_view(f"{run.run}: {run.algo} on {run.env}", quiet=as_json)) as view:
             learner = Learner(
                 configuration=configuration,
-                spaces=spaces,
+                spaces=described.spaces,
+                layout=described.layout,
                 bus=bus,
                 path=path,
                 metrics=metrics,
@@ -84,8 +88,9 @@ def learn(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
             f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
             f"{summary['recoveries']} recoveries\n"
-            f"policy      {path / 'latest' / 'policy.onnx'}\n"
         )
+        if summary["updates"]:
+            out.write(f"policy      {path / 'latest' / 'policy.onnx'}\n")
         out.flush()
     return _end(summary, stop, as_json=as_json)
 

@@ -1,9 +1,11 @@
 """Writing a Minari data set: the one place that knows Minari."""
 
+import copy
 import importlib
 import importlib.util
 import os
 import shutil
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,8 +35,9 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         root: Where data sets are kept; ``None``: where Minari looks for them.
 
     Returns:
-        What was written: ``dataset``, ``path``, ``episodes``, ``steps`` and ``left_out``, the
-        number of episodes of which not all steps are in the replay.
+        What was written: ``dataset``, ``path``, ``episodes``, ``steps``; ``left_out``, the
+        number of episodes of which not all steps are in the replay; and ``no_env_spec``, why the
+        data set does not say how to make its environment, ``None`` where it does.
 
     Raises:
         UsageError: Minari is not installed, the name is taken or none, no data set can be kept in
@@ -53,6 +56,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
     episodes = StoredEpisodes(path)
     spaces = episodes.about.spaces
     low, high = spaces.action_low, spaces.action_high
+    spec, no_spec = spec_of(episodes.about.env_id)
     buffers = []
     room = 0
     for index, episode in enumerate(episodes):
@@ -78,7 +82,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
             dataset = minari.create_dataset_from_buffers(
                 dataset_id=dataset_id,
                 buffer=buffers,
-                env=_spec(episodes.about.env_id),
+                env=spec,
                 observation_space=gymnasium.spaces.Box(
                     -np.inf, np.inf, (spaces.obs_size,), np.float32
                 ),
@@ -93,6 +97,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
             "episodes": int(dataset.total_episodes),
             "steps": int(dataset.total_steps),
             "left_out": episodes.left_out,
+            "no_env_spec": no_spec,
         }
 
 
@@ -111,17 +116,39 @@ def executed(action: Array, spaces: Spaces) -> Array:
     return np.clip(wide, low, high)
 
 
-def _spec(env_id: str) -> "gymnasium.envs.registration.EnvSpec | None":
-    """Find how to make the environment; the data are of use without it too."""
+def spec_of(env_id: str) -> tuple["gymnasium.envs.registration.EnvSpec | None", str | None]:
+    """Find how to make the environment; the data are of use without it too.
+
+    Args:
+        env_id: Gymnasium id, or module:Id-v0.
+
+    Returns:
+        What can be written down, and ``None``; or ``None``, and why there is none.
+    """
     module, _, name = env_id.rpartition(":")
     try:
         if module:
             importlib.import_module(module)
-        spec = gymnasium.spec(name)
-        spec.to_json()  # one that was registered with a class cannot be written down
-    except (gymnasium.error.Error, ImportError, ValueError):
-        return None
-    return spec
+        spec = copy.copy(gymnasium.spec(name))
+    except (gymnasium.error.Error, ImportError) as error:
+        return None, " ".join(str(error).split())
+    spec.entry_point = _named(spec.entry_point)
+    try:
+        spec.to_json()
+    except (TypeError, ValueError):  # the latter for what can be called
+        return None, "it was registered with objects that cannot be written down as text"
+    return spec, None
+
+
+def _named(entry_point: Any) -> Any:
+    """Put the name of a class in its place, if it can be found by that again."""
+    module = sys.modules.get(getattr(entry_point, "__module__", ""))
+    name = getattr(entry_point, "__qualname__", "")
+    if module is None or module.__name__ == "__main__":
+        return entry_point
+    return (
+        f"{module.__name__}:{name}" if getattr(module, name, None) is entry_point else entry_point
+    )
 
 
 def _namespace_of(dataset_id: str) -> str | None:

@@ -9,52 +9,64 @@ from typing import Annotated, Any
 
 import typer
 
+from a2s.commands.whole_number import whole_number
+
 _RUN = "The run"
 _ALGORITHM = "The algorithm"
 _PLACE = "Where"
 
 
-def _option(*names: str, env: str, help: str, panel: str, **more: Any) -> Any:  # noqa: A002
+def option(*names: str, env: str, help: str, panel: str, **more: Any) -> Any:  # noqa: A002
+    """Make an option with a variable of the environment, in a panel of the help."""
+    more = {"show_envvar": False, **more}  # they all follow one rule, which the program's help says
     return typer.Option(*names, envvar=env, help=help, rich_help_panel=panel, **more)
+
+
+def whole(*names: str, env: str, help: str, panel: str, **more: Any) -> Any:  # noqa: A002
+    """Make one that takes a whole number."""
+    more = {"show_envvar": False, **more}
+    return whole_number(*names, env=env, help=help, rich_help_panel=panel, **more)
 
 
 Env = Annotated[
     str | None,
-    _option(
+    option(
         "--env",
+        metavar="ENV",
         env="A2S_ENV",
-        help="Gymnasium id, or module:Id-v0.",
+        help="Gymnasium id, module:Id-v0, module:Class, or ./FILE.py:Id-v0.",
         panel=_RUN,
         show_default="Hopper-v5",
     ),
 ]
 TotalSteps = Annotated[
     int | None,
-    _option(
+    whole(
         "--total-steps",
         env="A2S_TOTAL_STEPS",
-        help="Environment steps at which the run ends.",
+        help="Environment steps at which the run ends, for example 1e6.",
         panel=_RUN,
-        min=1,
+        least=1,
         show_default="1000000",
     ),
 ]
 Seed = Annotated[
     int | None,
-    _option(
+    whole(
         "--seed",
         env="A2S_SEED",
         help="Seed of everything.",
         panel=_RUN,
-        min=0,
-        max=2**63 - 1,
+        least=0,
+        most=2**63 - 1,
         show_default="0",
     ),
 ]
 Run = Annotated[
     str | None,
-    _option(
+    option(
         "--run",
+        metavar="NAME",
         env="A2S_RUN",
         help="Name of the run: actors join it by this name.",
         panel=_RUN,
@@ -63,8 +75,9 @@ Run = Annotated[
 ]
 RunDir = Annotated[
     Path | None,
-    _option(
+    option(
         "--run-dir",
+        metavar="DIR",
         env="A2S_RUN_DIR",
         help="Directory of the run.",
         panel=_RUN,
@@ -73,7 +86,7 @@ RunDir = Annotated[
 ]
 Resume = Annotated[
     bool,
-    _option(
+    option(
         "--resume",
         env="A2S_RESUME",
         help="Go on from the newest checkpoint of the run.",
@@ -82,8 +95,9 @@ Resume = Annotated[
 ]
 Config = Annotated[
     Path | None,
-    _option(
+    option(
         "--config",
+        metavar="FILE",
         env="A2S_CONFIG",
         help="TOML file with the tables run and hyper, as every run directory has one.",
         panel=_RUN,
@@ -91,8 +105,9 @@ Config = Annotated[
 ]
 Variant = Annotated[
     str | None,
-    _option(
+    option(
         "--variant",
+        metavar="on-policy|off-policy",
         env="A2S_VARIANT",
         help="on-policy (algorithm 1 of the paper) or off-policy (algorithm 2).",
         panel=_ALGORITHM,
@@ -101,8 +116,9 @@ Variant = Annotated[
 ]
 Algo = Annotated[
     str | None,
-    _option(
+    option(
         "--algo",
+        metavar="a2s|a2c",
         env="A2S_ALGO",
         help="a2s, or a2c: one suggestion and no Q.",
         panel=_ALGORITHM,
@@ -111,8 +127,9 @@ Algo = Annotated[
 ]
 Preset = Annotated[
     str | None,
-    _option(
+    option(
         "--preset",
+        metavar="NAME",
         env="A2S_PRESET",
         help="Hyperparameters: modern, authors or paper; off-policy modern, sac or paper.",
         panel=_ALGORITHM,
@@ -121,7 +138,7 @@ Preset = Annotated[
 ]
 Suggestions = Annotated[
     int | None,
-    _option(
+    whole(
         "--suggestions",
         env="A2S_SUGGESTIONS",
         help="K, the actions among which Q picks.",
@@ -131,7 +148,7 @@ Suggestions = Annotated[
 ]
 Recovery = Annotated[
     bool | None,
-    _option(
+    option(
         "--recovery/--no-recovery",
         env="A2S_RECOVERY",
         help="Go back to the best networks when returns fall (equation 5); on-policy only.",
@@ -141,7 +158,7 @@ Recovery = Annotated[
 ]
 Set = Annotated[
     list[str] | None,
-    _option(
+    option(
         "--set",
         env="A2S_SET",
         help="KEY=VALUE of any hyperparameter (--print-config shows them); may be repeated.",
@@ -151,7 +168,7 @@ Set = Annotated[
 ]
 Lockstep = Annotated[
     bool | None,
-    _option(
+    option(
         "--lockstep/--async",
         env="A2S_LOCKSTEP",
         help="Use each version for one batch, reproducibly; or never let actors wait.",
@@ -161,7 +178,7 @@ Lockstep = Annotated[
 ]
 PrintConfig = Annotated[
     bool,
-    _option(
+    option(
         "--print-config",
         env="A2S_PRINT_CONFIG",
         help="Show every setting with its source, and do nothing else.",
@@ -170,46 +187,47 @@ PrintConfig = Annotated[
 ]
 N = Annotated[
     int | None,
-    _option("--n", "-n", env="A2S_N", help="Actor processes.", panel=_PLACE, min=1),
+    whole("--n", "-n", env="A2S_N", help="Actor processes.", panel=_PLACE, least=1),
 ]
 Envs = Annotated[
     int | None,
-    _option(
+    whole(
         "--envs",
         env="A2S_ENVS",
         help="Environments in each actor process.",
         panel=_PLACE,
-        min=1,
-        max=4096,
+        least=1,
+        most=4096,
         show_default="8",
     ),
 ]
 KeepPolicyEvery = Annotated[
     int | None,
-    _option(
+    whole(
         "--keep-policy-every",
         env="A2S_KEEP_POLICY_EVERY",
         help="Keep the policy after every so many updates, in policies/; 0 keeps none.",
         panel=_RUN,
-        min=0,
+        least=0,
         show_default="0",
     ),
 ]
 Threads = Annotated[
     int | None,
-    _option(
+    whole(
         "--threads",
         env="A2S_THREADS",
         help="Threads of torch in the learner.",
         panel=_PLACE,
-        min=1,
+        least=1,
         show_default="1",
     ),
 ]
 Device = Annotated[
     str | None,
-    _option(
+    option(
         "--device",
+        metavar="cpu|cuda",
         env="A2S_DEVICE",
         help="Where the learner's networks are, off-policy: cpu or cuda.",
         panel=_PLACE,
@@ -218,7 +236,7 @@ Device = Annotated[
 ]
 Listen = Annotated[
     str | None,
-    _option(
+    option(
         "--listen",
         env="A2S_LISTEN",
         help="Endpoint on which the learner listens.",
@@ -229,7 +247,7 @@ Listen = Annotated[
 ]
 Connect = Annotated[
     str,
-    _option(
+    option(
         "--connect",
         env="A2S_CONNECT",
         help="Endpoint of the learner.",
@@ -239,18 +257,18 @@ Connect = Annotated[
 ]
 MetricsPort = Annotated[
     int | None,
-    _option(
+    whole(
         "--metrics-port",
         env="A2S_METRICS_PORT",
         help="Port of /metrics: 0 takes any free one, -1 serves none.",
         panel=_PLACE,
-        min=-1,
-        max=65535,
+        least=-1,
+        most=65535,
     ),
 ]
 MetricsHost = Annotated[
     str,
-    _option(
+    option(
         "--metrics-host",
         env="A2S_METRICS_HOST",
         help="Address on which /metrics is served.",
@@ -259,7 +277,7 @@ MetricsHost = Annotated[
 ]
 Json = Annotated[
     bool,
-    _option(
+    option(
         "--json",
         env="A2S_JSON",
         help="Print one JSON object as the last line of standard output.",
@@ -268,12 +286,13 @@ Json = Annotated[
 ]
 Episodes = Annotated[
     int,
-    _option("--episodes", env="A2S_EPISODES", help="Episodes to play.", panel=_RUN, min=1),
+    whole("--episodes", env="A2S_EPISODES", help="Episodes to play.", panel=_RUN, least=1),
 ]
 Mode = Annotated[
     str,
-    _option(
+    option(
         "--mode",
+        metavar="mean|best-of-k|behaviour",
         env="A2S_MODE",
         help="How to act: mean, best-of-k or behaviour.",
         panel=_ALGORITHM,
@@ -281,8 +300,9 @@ Mode = Annotated[
 ]
 WhichWeights = Annotated[
     str,
-    _option(
+    option(
         "--weights",
+        metavar="latest|best",
         env="A2S_WEIGHTS",
         help="Which policy of a run: latest, or best (by training returns).",
         panel=_RUN,

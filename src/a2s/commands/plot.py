@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from a2s.learner import configuration
-from a2s.learner.run_directory import CONFIG
+from a2s.learner.run_directory import CONFIG, EPISODE_COLUMNS
 from a2s.protocol.errors import UsageError
 
 mpl.use("agg")
@@ -22,15 +22,15 @@ _WINDOW = 3
 _LETTERS = 64  # in the legend of a panel
 
 Curve = npt.NDArray[np.float64]
-# By environment, then by way of learning: steps and returns of every seed.
+# By environment, or "environment: metric", then by way of learning: steps and values of each seed.
 Panels = dict[str, dict[str, list[tuple[Curve, Curve]]]]
 
 
-def read_curve(episodes: Path) -> tuple[Curve, Curve]:
-    """Read an ``episodes.csv``, or an ``episodes.csv.gz``.
+def read_curve(episodes: Path, what: str = "return") -> tuple[Curve, Curve]:
+    """Read a column of an ``episodes.csv``, or of an ``episodes.csv.gz``.
 
     Returns:
-        Environment steps and return of every finished episode, each ``[E]``.
+        Environment steps and value of every finished episode that has one, each ``[E]``.
 
     Raises:
         UsageError: There are no episodes, or none has ended yet.
@@ -38,13 +38,19 @@ def read_curve(episodes: Path) -> tuple[Curve, Curve]:
     opened = gzip.open if episodes.suffix == ".gz" else open
     try:
         with opened(episodes, "rt", newline="") as file:
-            rows = [(int(r["env_steps"]), float(r["return"])) for r in csv.DictReader(file)]
-    except (OSError, KeyError, ValueError) as error:
+            rows = [(int(r["env_steps"]), float(r[what])) for r in csv.DictReader(file) if r[what]]
+    except (OSError, KeyError, ValueError, TypeError) as error:
         raise UsageError(f"{episodes}: are no episodes of a run: {error}") from None
     if not rows:
         raise UsageError(f"{episodes}: no episode has ended yet")
     steps, returns = zip(*rows, strict=True)
     return np.array(steps, dtype=np.float64), np.array(returns)
+
+
+def metrics_in(episodes: Path) -> list[str]:
+    """Name what environments told of their episodes, the columns after ours."""
+    with episodes.open(newline="") as file:
+        return next(csv.reader(file), [])[len(EPISODE_COLUMNS) :]
 
 
 def smooth(values: Curve, window: int = _WINDOW) -> Curve:
@@ -58,9 +64,10 @@ def on_a_grid(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
 
     Returns:
         Steps ``[100]``, and returns ``[S, 100]``; where a seed has no episode between two points
-        of the grid, its value is interpolated.
+        of the grid, its value is interpolated. The grid ends where the first seed does, but not
+        before each has an episode.
     """
-    last = min(steps[-1] for steps, _ in curves)
+    last = max(min(steps[-1] for steps, _ in curves), max(steps[0] for steps, _ in curves))
     edges = np.linspace(0.0, last, _POINTS + 1)
     centres = (edges[:-1] + edges[1:]) / 2
     binned = []
@@ -74,18 +81,32 @@ def on_a_grid(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
     return centres, np.array(binned)
 
 
-def plot(runs: list[Path], output: Path) -> None:
-    """Draw the runs: one panel per environment, one colour for each way of learning.
+def plot(runs: list[Path], output: Path) -> list[str]:
+    """Draw the runs: one panel per environment and metric, one colour for each way of learning.
+
+    Returns:
+        Why runs were left out, of each one line; others were drawn.
 
     Raises:
-        UsageError: A run cannot be read, or the picture cannot be written.
+        UsageError: No run can be drawn, or the picture cannot be written.
     """
     panels: Panels = {}
+    left_out = []
     for run in runs:
-        env, label = identity(run)
-        curve = read_curve(run / "episodes.csv")
-        panels.setdefault(env, {}).setdefault(label, []).append(curve)
+        try:
+            env, label = identity(run)
+            episodes = run / "episodes.csv"
+            curves = {env: read_curve(episodes)}
+            curves |= {f"{env}: {m}": read_curve(episodes, m) for m in metrics_in(episodes)}
+        except UsageError as error:
+            left_out.append(str(error))
+        else:
+            for title, curve in curves.items():
+                panels.setdefault(title, {}).setdefault(label, []).append(curve)
+    if not panels:
+        raise UsageError(left_out[0])
     draw(panels, output)
+    return left_out
 
 
 def draw(panels: Panels, output: Path) -> None:
@@ -95,23 +116,23 @@ def draw(panels: Panels, output: Path) -> None:
         UsageError: The picture cannot be written.
     """
     legends = {
-        env: {label: _legend(label, len(curves)) for label, curves in groups.items()}
-        for env, groups in panels.items()
+        title: {label: _legend(label, len(curves)) for label, curves in groups.items()}
+        for title, groups in panels.items()
     }
     rows = max("\n".join(legend.values()).count("\n") + 1 for legend in legends.values())
     size = (6 * len(panels), 4.2 + 0.25 * rows)
     colours = colours_of(panels)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
-    for axis, (env, groups) in zip(axes[0], sorted(panels.items()), strict=True):
+    for axis, (title, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for label, curves in sorted(groups.items()):
             colour = colours[label]
             steps, returns = on_a_grid(curves)
             axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
             mean = smooth(returns.mean(0))
-            axis.plot(steps, mean, color=colour, linewidth=2.0, label=legends[env][label])
-        axis.set_title(env)
+            axis.plot(steps, mean, color=colour, linewidth=2.0, label=legends[title][label])
+        axis.set_title(title)
         axis.set_xlabel("environment steps")
-        axis.set_ylabel("training return of an episode")
+        axis.set_ylabel(f"{title.partition(': ')[2] or 'training return'} of an episode")
         axis.grid(alpha=0.3)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
     try:
@@ -143,4 +164,6 @@ def identity(run: Path) -> tuple[str, str]:
         raise UsageError(f"{run}: is not a run directory, no usable {CONFIG}: {error}") from None
     of = found.run
     name = f"{of.algo} {of.preset}" if of.variant == "on-policy" else f"{of.variant} {of.preset}"
-    return of.env, ", ".join([name, *(f"{k}={v}" for k, v in found.changed().items())])
+    env = Path(of.env).name if ".py:" in of.env else of.env
+    changed = [f"{k}={v}" for k, v in found.changed().items()]
+    return " ".join([env, *of.env_kwargs]), ", ".join([name, *changed])

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from a2s.commands import options
+from a2s.commands.whole_number import whole_number
 
 app = typer.Typer(no_args_is_help=True, help="Look into a replay; export it.")
 
@@ -42,9 +43,13 @@ def sample(
     run_dir: Stored = None,
     connect: Served = None,
     run: options.Run = None,
-    batch_size: Annotated[int, typer.Option(min=1, max=4096, help="Transitions.")] = 256,
+    batch_size: Annotated[
+        int, whole_number("--batch-size", least=1, most=4096, help="Transitions.")
+    ] = 256,
     seed: options.Seed = None,
-    n_step: Annotated[int, typer.Option(min=1, max=64, help="Steps of each, at most.")] = 1,
+    n_step: Annotated[
+        int, whole_number("--n-step", least=1, most=64, help="Steps of each, at most.")
+    ] = 1,
     gamma: Annotated[float, typer.Option(min=0.0, max=1.0, help="Discount of a step.")] = 0.99,
     prioritised: Annotated[
         bool, typer.Option("--prioritised", help="Draw by priority, not uniformly.")
@@ -100,3 +105,5 @@ def export(
         f"{found['path']}: {found['episodes']} episodes, {found['steps']} steps; "
         f"{found['left_out']} episodes are not whole and were left out"
     )
+    if found["no_env_spec"]:
+        typer.echo(f"the environment's spec is not kept in it: {found['no_env_spec']}")

@@ -1,12 +1,33 @@
-"""Which ports are served on."""
+"""Which ports are served on, and where what others say is passed on to."""
 
+import contextlib
+import os
 import socket
+import sys
 from collections.abc import Callable
 from typing import TypeVar
 
 from a2s.protocol.errors import UsageError
 
 Served = TypeVar("Served")
+_STANDARD_ERROR = 2
+
+
+def pass_on(line: str) -> None:
+    """Pass on what an environment says, if anybody still reads it."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(f"{'' if line.startswith('environment ') else 'environment: '}{line}\n")
+
+
+def fill_standard_streams() -> None:
+    """Open those that were closed before this process began: pipes would take their numbers."""
+    fd = os.open(os.devnull, os.O_RDWR)
+    while fd <= _STANDARD_ERROR:
+        fd = os.open(os.devnull, os.O_RDWR)
+    os.close(fd)
+    for number, name in ((1, "stdout"), (_STANDARD_ERROR, "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
 
 
 def free_endpoint() -> str:

@@ -13,13 +13,13 @@ import tempfile
 from pathlib import Path
 from typing import IO, Any
 
-from a2s.actors.environment import describe
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
 from a2s.commands.serving import free_endpoint
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner import run_directory
 from a2s.learner.configuration import Configuration
+from a2s.learner.numerals import written
 from a2s.protocol.errors import A2SError, UsageError
 
 _POLL_S = 0.05
@@ -57,7 +57,6 @@ def train(
         A2SError: The user asked for something impossible, or learner or actors failed.
     """
     run = configuration.run
-    describe(run.env)
     out = sys.stderr if as_json else sys.stdout
     endpoint = listen or free_endpoint()
     with tempfile.TemporaryDirectory(prefix="a2s-") as scratch, stop_on_signals() as stop:
@@ -68,23 +67,36 @@ def train(
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
-        _run(learner, actor, path, out, stop)
+        code = _run(learner, actor, path, out, stop)
+    if code:
+        return code
     if not (path / "summary.json").exists():
         return EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
+    failure: A2SError | None = None
     if summary["finished"] and not stop.interrupted:
-        summary["evaluation"] = _evaluate(path, evaluation, out)
-        run_directory.write_summary(path, summary)
+        try:
+            with stop_on_signals() as stop:
+                summary["evaluation"] = _evaluate(path, evaluation, out, stop)
+            run_directory.write_summary(path, summary)
+        except A2SError as error:
+            failure = error
     _show(summary, path, out)
     if as_json:
         sys.stdout.write(json.dumps(summary) + "\n")
+    if failure is not None:
+        raise A2SError(f"the policy was not evaluated: {failure}")
     return EXIT_INTERRUPTED if stop.interrupted else 0
 
 
 def _run(
     learner_options: list[str], actor_options: list[str], path: Path, out: IO[str], stop: Stop
-) -> None:
-    """Start both, wait for the learner, end the actors; one that fails ends the other."""
+) -> int:
+    """Start both, wait for the learner, end the actors; one that fails ends the other.
+
+    Returns:
+        The exit code of a learner that could not begin, and has said why; else 0.
+    """
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
     log, before = path / "actors.log", _starts(path)
@@ -102,11 +114,14 @@ def _run(
         _remove_traces(path, log)
     # One that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
-    if learner.returncode not in (0, EXIT_INTERRUPTED) and not is_ended_by_us:
-        advice = "nothing was begun"
-        if _starts(path) != before:
-            advice = f"go on from its checkpoint with: a2s train --resume --run-dir {path}"
-        raise A2SError(f"the learner ended with code {learner.returncode}; {advice}")
+    if learner.returncode in (0, EXIT_INTERRUPTED) or is_ended_by_us:
+        return 0
+    if _starts(path) == before and learner.returncode > 0:
+        return learner.returncode
+    raise A2SError(
+        f"the learner ended with code {learner.returncode}; go on from its checkpoint with: "
+        f"a2s train --resume --run-dir {path}"
+    )
 
 
 def _starts(path: Path) -> bytes:
@@ -128,15 +143,16 @@ def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:
         if stop.wait(_POLL_S):
             return
         if actors.poll() is not None:
-            words = (log.read_text().strip().splitlines() or ["no last words"])[-1]
-            raise A2SError(f"the actors ended: {words} (all of it: {log})")
+            lines = log.read_text(errors="replace").strip().splitlines()
+            words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "no last words")
+            raise A2SError(f"{words.removeprefix('a2s: ')}; the actors ended, see {log}")
 
 
 def _start(options: list[str], out: IO[str]) -> Process:
     """Start a command in a process group of its own: Ctrl-C is for us, and we end it cleanly."""
     libc = ctypes.CDLL(None)
     return subprocess.Popen(
-        [sys.executable, "-m", "a2s.cli", *options],
+        [sys.executable, "-P", "-m", "a2s.cli", *options],
         stdout=out,
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
@@ -154,19 +170,27 @@ def _end(process: Process) -> None:
             process.wait()
 
 
-def _evaluate(path: Path, evaluation: dict[str, Any], out: IO[str]) -> dict[str, Any]:
+def _evaluate(
+    path: Path, evaluation: dict[str, Any], out: IO[str], stop: Stop
+) -> dict[str, Any] | None:
     out.write(f"evaluating {evaluation['episodes']} episodes, {evaluation['mode']} action ...\n")
     out.flush()
-    result = evaluate_run(path, None, **evaluation)
-    return {name: result[name] for name in ("mode", "weights", "episodes", "mean", "std")}
+    result = evaluate_run(path, {}, **evaluation, proceed=lambda: not stop.is_set())
+    shown = ("mode", "weights", "episodes", "mean", "std", "info_metrics")
+    return {name: result[name] for name in shown} if result else None
 
 
 def _show(summary: dict[str, Any], path: Path, out: IO[str]) -> None:
     result = summary.get("evaluation")
     if result:
         out.write(
-            f"evaluation: {result['mean']:.1f} +- {result['std']:.1f} over {result['episodes']} "
-            f"episodes ({result['mode']}, {result['weights']} weights)\n"
+            f"evaluation: {written(result['mean'])} +- {written(result['std'])} "
+            f"over {result['episodes']} episodes ({result['mode']}, {result['weights']} weights)\n"
+        )
+    if dropped := summary.get("dropped_transitions"):
+        out.write(
+            f"dropped     {dropped:,} steps whose numbers could not be used; 'trouble' in "
+            f"{path / 'events.jsonl'} says which\n"
         )
     try:
         plot([path], path / "curves.png")

@@ -107,6 +107,21 @@ def test_the_unit_of_rewards_does_not_matter(quantiles: int) -> None:
     assert (small.q_loss, small.policy_loss) == (large.q_loss, large.policy_loss)
 
 
+def test_the_unit_of_observations_does_not_matter() -> None:
+    """A millionth, about: the same weights to the bit."""
+    unit = 2.0**-20
+    one, other = (OffPolicy(OBS, ACTION, off_policy("modern", SMALL), 4) for _ in range(2))
+    for number in range(5):
+        rows = batch(number)
+        for algorithm, size in ((one, 1.0), (other, unit)):
+            algorithm.observe(size * rows.obs)
+            algorithm.update(
+                rows._replace(obs=size * rows.obs, next_obs=size * rows.next_obs),
+            )
+    for name in ("policy", "critics", "targets"):
+        assert torch.equal(getattr(one.learned, name).value, getattr(other.learned, name).value)
+
+
 def test_returns_are_learned_in_units_of_their_size() -> None:
     """With rewards divided by 5 before, and nothing to normalise, it is the same to the bit."""
     plain = make("modern", normalise_return=False)

@@ -32,23 +32,30 @@ def make(preset: str = "modern", algo: str = "a2s", seed: int = 7, **options: An
     return OnPolicy(D, A, on_policy(preset, algo, {**SMALL, **options}), seed)
 
 
-def play(algorithm: OnPolicy, seed: int, score: float = 10.0, version: int = 0) -> Batch:
-    """A batch of four segments whose reward is the larger the nearer the action is to .5."""
+def play(
+    algorithm: OnPolicy, seed: int, score: float = 10.0, version: int = 0, unit: float | None = None
+) -> Batch:
+    """A batch of four segments whose reward is the larger the nearer the action is to .5.
+
+    With a ``unit`` of observations: to half the sign of the first of them.
+    """
     generator = torch.Generator().manual_seed(seed)
-    obs = torch.randn(80, D, generator=generator)
+    size = 1.0 if unit is None else unit
+    obs = size * torch.randn(80, D, generator=generator)
     suggester = algorithm.suggester(-torch.ones(A), torch.ones(A))
     normal = torch.randn(80, suggester.suggestions, A, generator=generator)
     gumbel = torch.randn(80, suggester.suggestions, generator=generator)
     with torch.no_grad():
         choice = suggester(obs, normal, gumbel)
+    wanted = 0.5 if unit is None else 0.5 * obs[:, :1].sign()
     return Batch(
         obs=obs,
         suggestion=choice.suggestion,
         log_prob=choice.log_prob,
-        reward=-(choice.action - 0.5).square().sum(1),
+        reward=-(choice.action - wanted).square().sum(1),
         lengths=torch.tensor([30, 10, 20, 20]),
         weights_version=torch.full((4,), version),
-        final_obs=torch.randn(4, D, generator=generator),
+        final_obs=size * torch.randn(4, D, generator=generator),
         terminated=torch.tensor([True, False, False, True]),
         truncated=torch.tensor([False, True, False, False]),
         episode_returns=torch.full((3,), score),
@@ -275,6 +282,32 @@ def test_the_mean_action_moves_to_where_the_reward_is(options: dict[str, Any]) -
     with torch.no_grad():
         mean = algorithm.learned.policy(algorithm.learned.normaliser(obs))
     assert float((mean - 0.5).abs().mean()) < 0.25
+
+
+def test_the_unit_of_observations_does_not_matter() -> None:
+    """A millionth, about: the same weights to the bit."""
+    one, other, unit = make(), make(), 2.0**-20
+    seen = torch.randn(50, D)
+    one.learned.normaliser.update(seen)  # before the first observation there is no unit
+    other.learned.normaliser.update(unit * seen)
+    for number in range(3):
+        batch = play(one, number)
+        one.update(batch)
+        other.update(
+            dataclasses.replace(batch, obs=unit * batch.obs, final_obs=unit * batch.final_obs)
+        )
+    assert fingerprint(one, without="normaliser") == fingerprint(other, without="normaliser")
+
+
+def test_observations_of_a_billionth_are_learned_from() -> None:
+    """A one-step task that needs them: who does not see is wrong by half."""
+    algorithm, unit = make(gamma=0.01, learning_rate=3e-3, critic_learning_rate=3e-3), 1e-9
+    for number in range(40):
+        algorithm.update(play(algorithm, number, unit=unit))
+    obs = unit * torch.randn(200, D, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        mean = algorithm.learned.policy(algorithm.learned.normaliser(obs))
+    assert float((mean - 0.5 * obs[:, :1].sign()).abs().mean()) < 0.25
 
 
 def test_weights_that_are_not_finite_are_refused() -> None:

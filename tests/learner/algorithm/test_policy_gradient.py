@@ -97,6 +97,17 @@ def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
     torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
 
 
+def test_advantages_of_any_unit_are_normalised_alike_and_equal_ones_are_0() -> None:
+    """Of equal ones a tenth is no float, so that their mean is not quite what they are."""
+    advantage, weight = torch.randn(100, 1), torch.rand(100, 1) + 0.5
+    expected = normalised(advantage, weight)
+    for unit in (2.0**-60, 2.0**-30, 2.0**40):
+        torch.testing.assert_close(normalised(unit * advantage, weight), expected)
+    for same in (0.0, 0.1):
+        found = normalised(torch.full((100, 1), same), torch.ones(100, 1))
+        torch.testing.assert_close(found, torch.zeros(100, 1))
+
+
 def test_weights_undo_the_selection_up_to_their_limit() -> None:
     """They have mean 1; without selection, or without a limit, they are 1."""
     drawn = torch.tensor([[-1.0], [-2.0], [-3.0]])

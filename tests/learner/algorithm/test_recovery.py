@@ -103,6 +103,8 @@ def test_invariant_gap_is_the_fraction_lost() -> None:
     assert gap_invariant(70.0, 100.0, 0.0) == pytest.approx(0.3)
     assert gap_invariant(-150.0, -100.0, -300.0) == pytest.approx(0.25)  # 50 of 200 gained
     assert gap_invariant(-500.0, -100.0, -200.0) == 1.0
+    assert gap_invariant(70e-12, 100e-12, 0.0) == pytest.approx(0.3)
+    assert (gap_invariant(-1e-12, 0.0, 0.0), gap_invariant(0.0, 0.0, 0.0)) == (1.0, 0.0)
 
 
 @given(r=RETURNS, best=RETURNS, first=RETURNS, scale=st.floats(1e-2, 1e2))

@@ -28,7 +28,7 @@ def test_old_samples_fade() -> None:
     assert float(size()) == pytest.approx(math.sqrt(2.0))
 
 
-@pytest.mark.parametrize(("reward", "size"), [(0.0, 1e-6), (2.0, 2.0)])
+@pytest.mark.parametrize(("reward", "size"), [(0.0, 1.0), (2.0, 2.0), (1e-9, 1e-9)])
 def test_returns_that_are_all_alike_have_a_size(reward: float, size: float) -> None:
     """Something is divided by it: it is above 0 even where nothing was ever paid."""
     found = ReturnSize(enabled=True, device=CPU)

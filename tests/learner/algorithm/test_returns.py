@@ -147,6 +147,7 @@ def test_explained_variance_of_perfection_is_one_and_of_a_constant_zero() -> Non
     assert explained_variance(actual, actual) == pytest.approx(1.0)
     assert explained_variance(torch.zeros(3), actual) == pytest.approx(0.0)
     assert explained_variance(actual, torch.ones(3)) == 0.0
+    assert explained_variance(actual, torch.full((3,), 0.1)) == 0.0
 
 
 def test_correlation_has_its_sign() -> None:
@@ -154,3 +155,30 @@ def test_correlation_has_its_sign() -> None:
     left = torch.tensor([1.0, 2.0, 4.0])
     assert correlation(left, -2 * left + 1) == pytest.approx(-1.0)
     assert correlation(left, torch.ones(3)) == 0.0
+    assert correlation(left, torch.full((3,), 0.1)) == 0.0
+
+
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**-20, 2.0**30])
+def test_the_unit_of_returns_does_not_matter(unit: float) -> None:
+    """Nothing is too small to be told from rounding by itself."""
+    target, predicted = torch.randn(50) + 3, torch.randn(50)
+    one, other = (ReturnScale(enabled=True, window_steps=100) for _ in range(2))
+    for _ in range(3):
+        one.update(target)
+        other.update(unit * target)
+    torch.testing.assert_close(other.normalise(unit * target), one.normalise(target))
+    assert explained_variance(unit * predicted, unit * target) == pytest.approx(
+        explained_variance(predicted, target)
+    )
+    assert correlation(unit * predicted, unit * target) == pytest.approx(
+        correlation(predicted, target)
+    )
+
+
+def test_the_scale_of_returns_that_are_all_alike_is_no_rounding() -> None:
+    """A millionth of them; and of none at all there is one that can be divided by."""
+    alike, nothing = (ReturnScale(enabled=True, window_steps=100) for _ in range(2))
+    alike.update(torch.full((10,), 3.0))
+    assert alike.std == 3.0 * 2.0**-20
+    nothing.update(torch.zeros(10))
+    assert nothing.normalise(torch.zeros(3)).tolist() == [0.0] * 3

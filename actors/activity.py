@@ -1,0 +1,68 @@
+"""What a process is at in an environment: a page of memory that its parent reads at any time.
+
+A call that never returns may hold the interpreter as well, so the process cannot be asked.
+"""
+
+import mmap
+import os
+import time
+from typing import Literal, NamedTuple
+
+Call = Literal["make", "reset", "step", "close"]
+_CALLS: tuple[Call, ...] = ("make", "reset", "step", "close")
+MAKE, RESET, STEP, CLOSE = 1, 2, 3, 4
+_WIDTH = 8  # of a call's number in the sum of call and environment
+
+
+class Doing(NamedTuple):
+    """A call that has not returned.
+
+    Attributes:
+        call: Which.
+        env_index: Of which environment.
+        since_s: Seconds since it began.
+    """
+
+    call: Call
+    env_index: int
+    since_s: float
+
+    def __str__(self) -> str:
+        """Say it to a user."""
+        return f"{self.call} of environment {self.env_index} for {self.since_s:.0f} s"
+
+
+class Activity:
+    """The page: when the present call began, and which it is.
+
+    Args:
+        fd: Of a page that is shared, see `share`; ``None``: nobody else reads it.
+    """
+
+    def __init__(self, fd: int | None = None) -> None:
+        buffer = bytearray(mmap.PAGESIZE) if fd is None else mmap.mmap(fd, mmap.PAGESIZE)
+        self._page = memoryview(buffer).cast("d")
+
+    def begin(self, call: int, env_index: int) -> None:
+        """Note that a call begins: ``MAKE``, ``RESET``, ``STEP`` or ``CLOSE``."""
+        self._page[0] = time.monotonic()
+        self._page[1] = call + _WIDTH * env_index
+
+    def end(self) -> None:
+        """Note that it has returned."""
+        self._page[1] = 0.0
+
+    def now(self) -> Doing | None:
+        """Read what the present call is, if there is one."""
+        begun_s, which = self._page[0], int(self._page[1])
+        if not which:
+            return None
+        env_index, call = divmod(which, _WIDTH)
+        return Doing(_CALLS[call - 1], env_index, max(0.0, time.monotonic() - begun_s))
+
+
+def share() -> int:
+    """Make a page that processes can share, and give its file descriptor."""
+    fd = os.memfd_create("a2s-activity")
+    os.ftruncate(fd, mmap.PAGESIZE)
+    return fd

@@ -1,0 +1,146 @@
+"""A trial of an environment, in a process of its own: what it is, what it does, how fast it is."""
+
+import logging
+import re
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.utils.env_checker import check_env
+
+from a2s.actors.activity import RESET, Activity
+from a2s.actors.children import Report, Watch, ask_child
+from a2s.actors.environments.environment import Environment
+from a2s.actors.environments.making import make, seed_globals
+from a2s.actors.parent import Parent, answer
+from a2s.actors.rollout import is_usable
+from a2s.protocol.env_config import EnvConfig
+
+_STEPS = 2000
+_SECONDS = 5.0
+_MOST_REMARKS = 10
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+
+
+def check(config: EnvConfig, on_words: Callable[[str], None]) -> Report:
+    """Try an environment.
+
+    Returns:
+        The JSON object of ``a2s check --json``.
+
+    Raises:
+        UsageError: There is no such environment, or its spaces are not supported.
+        FaultyEnvironmentError: It raised, hung, died, or gave what none may.
+    """
+    watch = Watch(config.env_id, config.timeout_s, on_words)
+    return ask_child(__name__, {"env": config.to_json()}, watch, on_words, lambda: True)
+
+
+def _play(environment: Environment, rng: np.random.Generator) -> Report:
+    """Step with random actions, and count."""
+    spaces = environment.spaces
+    low, high = spaces.action_low.astype(np.float64), spaces.action_high.astype(np.float64)
+    first_useless = ""
+    rewards: list[float] = []
+    lengths: list[int] = []
+    ends, useless = [0, 0], 0
+    environment.reset()
+    length, begin_s = 0, time.perf_counter()
+    while len(rewards) < _STEPS and time.perf_counter() - begin_s < _SECONDS:
+        action = np.clip(rng.uniform(low, high), low, high).astype(np.float32)
+        obs, reward, terminated, truncated = environment.step(action)
+        rewards.append(reward)
+        length += 1
+        if not (is_usable(obs) and np.isfinite(reward)):
+            useless += 1
+            what = "reward" if is_usable(obs) else "observation"
+            first_useless = first_useless or f"the {what} of step {len(rewards)}"
+        if terminated or truncated:
+            ends[truncated] += 1
+            lengths.append(length)
+            length = 0
+            environment.reset()
+    return {
+        "steps": len(rewards),
+        "steps_per_s": round(len(rewards) / (time.perf_counter() - begin_s), 1),
+        "episode_lengths": lengths,
+        "terminated": ends[0],
+        "truncated": ends[1],
+        "rewards": [float(np.nanmin(rewards)), float(np.nanmax(rewards))],
+        "unusable_steps": useless,
+        "first_unusable": first_useless,
+        "info_metrics": sorted(m.name for m in environment.metrics()),
+        "other_numbers": environment.other_numbers(),
+    }
+
+
+def _repeats(environment: Environment, action: Any) -> bool:
+    """Whether the same seed makes the same first steps."""
+
+    def begin() -> list[Any]:
+        seed_globals(1)
+        seen: list[Any] = [environment.reset(1)]
+        for _ in range(5):
+            obs, reward, terminated, truncated = environment.step(action)
+            seen += [obs, reward]
+            if terminated or truncated:
+                break
+        return seen
+
+    first, second = begin(), begin()
+    return len(first) == len(second) and all(
+        np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True)
+    )
+
+
+def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
+    """What Gymnasium's own checker says of it."""
+    activity.begin(RESET, 0)
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            env, _ = make(config, 0, 0)
+            try:
+                check_env(env.unwrapped, skip_render_check=True)
+                found = []
+            except BaseException as error:  # noqa: BLE001  # it asserts and raises all
+                found = [str(error) or type(error).__name__]
+            env.close()
+    except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
+        return [f"a second one cannot be made: {error}"]
+    finally:
+        activity.end()
+    theirs = [w for w in said if not issubclass(w.category, ResourceWarning)]
+    lines = [_COLOURS.sub("", line) for line in (*found, *(str(w.message) for w in theirs))]
+    return list(dict.fromkeys(" ".join(x.split()).removeprefix("WARN: ") for x in lines))
+
+
+def _check(parent: Parent) -> None:
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    config = EnvConfig.from_json(parent.task["env"])
+    rng = np.random.default_rng(0)
+    environment = Environment(config, activity=parent.activity)
+    spaces = environment.spaces
+    middle = ((spaces.action_low + spaces.action_high) / 2).astype(np.float32)
+    found = {
+        "env": config.env_id,
+        "obs_size": spaces.obs_size,
+        "obs_layout": environment.layout,
+        "frame_stack": config.frame_stack,
+        "action_repeat": config.action_repeat,
+        "action_low": spaces.action_low.tolist(),
+        "action_high": spaces.action_high.tolist(),
+        "max_episode_steps": environment.episode_limit,
+        "repeats": _repeats(environment, middle),
+        **_play(environment, rng),
+    }
+    environment.close()
+    remarks = _remarks(config, parent.activity)[:_MOST_REMARKS]
+    parent.report({"result": {**found, "remarks": remarks}})
+
+
+if __name__ == "__main__":
+    answer(_check)

@@ -1,0 +1,294 @@
+"""Processes that run a user's environment: started, heard, watched and ended by their parent.
+
+A child is a session of its own. Its standard input is empty, and what it prints on either stream,
+or its environment does, are *words*, passed on line by line; what it tells its parent goes through
+a pipe of its own as lines of JSON. It ends when its parent does, and all processes that it has
+started end with it.
+"""
+
+import contextlib
+import json
+import logging
+import math
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from a2s.actors.activity import Activity, Doing, share
+from a2s.actors.families import FAMILY, end_family, inherit_orphans
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
+
+logger = logging.getLogger(__name__)
+
+_CHUNK = 1 << 16
+_LONGEST_LINE = 4096
+_LOOK_EVERY_S = 0.1
+_LAST_WORDS_S = 1.0
+_SLOW_S = 10.0
+_STOP_S = 12.0
+_CLOSE_S = 5.0
+
+Report = dict[str, Any]
+_LIVING: set[int] = set()  # numbers of the children of this process
+
+
+class Child:
+    """One process.
+
+    Args:
+        module: What it runs, with a :class:`a2s.actors.parent.Parent` to talk to.
+        task: Told to it.
+        on_report: Told what it tells, on a thread of ours.
+        on_words: Told what it prints, line by line, on the same thread.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        task: Mapping[str, Any],
+        on_report: Callable[[Report], None],
+        on_words: Callable[[str], None],
+    ) -> None:
+        inherit_orphans()
+        self._family = uuid.uuid4().hex
+        self._on_report, self._on_words = on_report, on_words
+        page = share()
+        self._activity = Activity(page)
+        report, theirs = os.pipe()
+        words, their_words = os.pipe()
+        their_life, self._life = os.pipe()
+        given = (theirs, their_life, page)
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module, *map(str, given)],
+                stdin=subprocess.DEVNULL,
+                stdout=their_words,
+                stderr=their_words,
+                pass_fds=given,
+                start_new_session=True,
+                env={**os.environ, FAMILY: self._family},
+            )
+        finally:
+            for fd in (theirs, their_words, their_life, page):
+                os.close(fd)
+        self._code: int | None = None
+        _LIVING.add(self.pid)
+        with contextlib.suppress(BrokenPipeError):  # it has died already
+            os.write(self._life, (json.dumps(task) + "\n").encode())
+        self._reader = threading.Thread(target=self._read, args=(report, words), daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Its process number."""
+        return self._process.pid
+
+    def ended(self) -> int | None:
+        """Give its exit code once it has ended, as `subprocess` counts; its family is gone then."""
+        if self._code is None:
+            flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            if os.waitid(os.P_PID, self.pid, flags) is not None:
+                self._bury()
+        return self._code
+
+    def doing(self) -> Doing | None:
+        """Tell which call into an environment it is in."""
+        return self._activity.now()
+
+    def kill(self) -> int:
+        """End it and its family at once; gives its exit code."""
+        if self.ended() is None:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            self._bury()
+        assert self._code is not None
+        return self._code
+
+    def release(self) -> None:
+        """Let it stop by itself."""
+        if self._life >= 0:
+            os.close(self._life)
+            self._life = -1
+
+    def stop(self, timeout_s: float = _STOP_S) -> None:
+        """Let it stop; after ``timeout_s`` seconds end it."""
+        self.release()
+        deadline_s = time.monotonic() + timeout_s
+        pause = threading.Event()
+        while self.ended() is None and time.monotonic() < deadline_s:
+            pause.wait(0.02)
+        if self.ended() is None:
+            doing = self.doing()
+            logger.warning(
+                "a process does not stop (%s) and is killed", doing or "in no call of environments"
+            )
+            self.kill()
+
+    def _bury(self) -> None:
+        # Until it is waited for, no other process can have its number.
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._code = self._process.wait()
+        _LIVING.discard(self.pid)
+        end_family(self._family, living=_LIVING)
+        self.release()
+        self._reader.join(2 * _LAST_WORDS_S)
+
+    def _read(self, report: int, words: int) -> None:
+        """Read until nobody can write, or the child has ended and nothing more comes."""
+        lines = {report: _Lines(self._take), words: _Lines(self._on_words, _LONGEST_LINE)}
+        ended_s = 0.0
+        with selectors.DefaultSelector() as selector:
+            for fd in lines:
+                selector.register(fd, selectors.EVENT_READ)
+            while selector.get_map():
+                ready = selector.select(_LOOK_EVERY_S)
+                if self._code is not None:  # whoever still holds the pipes is none of ours
+                    ended_s = ended_s or time.monotonic()
+                    if not ready or time.monotonic() - ended_s > _LAST_WORDS_S:
+                        break
+                for key, _ in ready:
+                    data = os.read(key.fd, _CHUNK)
+                    lines[key.fd].feed(data)
+                    if not data:
+                        selector.unregister(key.fd)
+        for fd in lines:
+            os.close(fd)
+
+    def _take(self, line: str) -> None:
+        try:
+            found = json.loads(line)
+        except ValueError:
+            return  # the last one, torn by a kill
+        self._on_report(found)
+
+
+class _Lines:
+    """Cuts bytes into lines, whatever they are."""
+
+    def __init__(self, on_line: Callable[[str], None], longest: float = math.inf) -> None:
+        self._on_line, self._longest = on_line, longest
+        self._rest = b""
+
+    def feed(self, data: bytes) -> None:
+        """Take the next bytes; none are the end."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if not data or len(self._rest) > self._longest:
+            lines.append(self._rest)
+            self._rest = b""
+        for line in lines:
+            if line:
+                self._on_line(line.decode(errors="replace").rstrip("\r"))
+
+
+class Watch:
+    """Looks whether a child is held up in an environment.
+
+    Args:
+        env_id: Of its environment.
+        timeout_s: Seconds that a call may take.
+        on_slow: Told, once for each call, that one has taken ten seconds.
+    """
+
+    def __init__(self, env_id: str, timeout_s: float, on_slow: Callable[[str], None]) -> None:
+        self.env_id, self.timeout_s, self._on_slow = env_id, timeout_s, on_slow
+        self._is_said = False
+
+    def overdue(self, doing: Doing | None) -> str:
+        """Say what has not returned in time; empty if nothing is overdue."""
+        if doing is None or doing.since_s < min(_SLOW_S, self.timeout_s):
+            self._is_said = False
+            return ""
+        # Nothing is lost with a close that does not return.
+        limit_s = min(self.timeout_s, _SLOW_S) if doing.call == "close" else self.timeout_s
+        if doing.since_s >= limit_s:
+            return (
+                f"environment {self.env_id}: {doing.call} of environment {doing.env_index} had not "
+                f"returned after {limit_s:g} s (--env-timeout)"
+            )
+        if not self._is_said:
+            self._is_said = True
+            self._on_slow(f"environment {self.env_id}: {doing}, it may take {self.timeout_s:g} s")
+        return ""
+
+
+def ask_child(
+    module: str,
+    task: Mapping[str, Any],
+    watch: Watch,
+    on_words: Callable[[str], None],
+    proceed: Callable[[], bool],
+) -> Report:
+    """Run a child that answers once, and end it.
+
+    Args:
+        module: What it runs.
+        task: Told to it.
+        watch: Of its calls.
+        on_words: Told what it prints.
+        proceed: Asked again and again; when false, the child is ended.
+
+    Returns:
+        What it reported under ``result``; empty when told not to proceed.
+
+    Raises:
+        UsageError: So the child said.
+        FaultyEnvironmentError: So it said; or it died, or was held up in a call.
+    """
+    reports: list[Report] = []
+    answered = threading.Event()
+
+    def on_report(report: Report) -> None:
+        reports.append(report)
+        answered.set()
+
+    child = Child(module, task, on_report, on_words)
+    held_up = ""
+    try:
+        while not answered.wait(_LOOK_EVERY_S) and child.ended() is None and not held_up:
+            held_up = watch.overdue(child.doing())
+            if not proceed():
+                return {}
+        if not held_up:
+            child.stop(_CLOSE_S)
+    finally:
+        last, code = child.doing(), child.kill()
+    if held_up:
+        raise FaultyEnvironmentError(held_up)
+    if not reports:
+        raise FaultyEnvironmentError(death_of(watch.env_id, code, last))
+    if "error" in reports[0]:
+        raise error_of(reports[0]["error"])
+    return dict(reports[0]["result"])
+
+
+def death_of(env_id: str, code: int, doing: Doing | None) -> str:
+    """Say how a child ended that told nothing."""
+    how = f"exit code {code}"
+    if code < 0:
+        names = {int(s): s.name for s in signal.Signals}
+        how = f"signal {names.get(-code, -code)}"
+        how += " (from outside, or for want of memory)" if code == -signal.SIGKILL else ""
+    where = f" in {doing.call} of environment {doing.env_index}" if doing else ""
+    return f"environment {env_id}: its process ended by {how}{where}"
+
+
+def told(error: A2SError) -> Report:
+    """Write an error for a parent."""
+    by_mistake = getattr(error, "by_mistake", False)
+    kind = "usage" if isinstance(error, UsageError) else "faulty"
+    return {"kind": kind, "message": str(error), "by_mistake": by_mistake}
+
+
+def error_of(report: Report) -> A2SError:
+    """Read an error of a child."""
+    if report["kind"] == "usage":
+        return UsageError(report["message"])
+    return FaultyEnvironmentError(report["message"], by_mistake=report["by_mistake"])

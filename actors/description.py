@@ -1,0 +1,101 @@
+"""The spaces of an environment, read in a short process of its own: ``python -m`` this module.
+
+A learner plays nothing: whatever an environment holds, changes or starts is gone with the process.
+"""
+
+import logging
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from a2s.actors.children import Watch, ask_child
+from a2s.actors.environments.environment import Environment
+from a2s.actors.environments.making import seed_globals
+from a2s.actors.parent import Parent, answer
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.fields import Array, Spaces
+
+_LARGE = 1000.0
+_SEED = 0
+
+
+class Description(NamedTuple):
+    """What a learner has to know of an environment.
+
+    Attributes:
+        spaces: As flat Boxes.
+        layout: ``[name, size]`` of the parts of an observation, in the order of its numbers.
+    """
+
+    spaces: Spaces
+    layout: list[tuple[str, int]]
+
+
+def describe(
+    config: EnvConfig,
+    on_words: Callable[[str], None],
+    proceed: Callable[[], bool] = lambda: True,
+) -> Description | None:
+    """Make the environment once, reset it, and close it, in another process.
+
+    Args:
+        config: Which, and how to make it.
+        on_words: Told what it prints, and what takes long.
+        proceed: Asked again and again; when false, the process is ended.
+
+    Returns:
+        What it is; ``None`` when told not to proceed.
+
+    Raises:
+        UsageError: There is no such environment, or its spaces are not supported.
+        FaultyEnvironmentError: It raised, hung or died.
+    """
+    watch = Watch(config.env_id, config.timeout_s, on_words)
+    found = ask_child(__name__, {"env": config.to_json()}, watch, on_words, proceed)
+    if not found:
+        return None
+    low, high, offset = (
+        None if found[name] is None else np.array(found[name], dtype=np.float32)
+        for name in ("action_low", "action_high", "obs_offset")
+    )
+    assert low is not None
+    assert high is not None
+    spaces = Spaces(obs_size=found["obs_size"], action_low=low, action_high=high, obs_offset=offset)
+    return Description(spaces, [(name, size) for name, size in found["layout"]])
+
+
+def offset_of(obs: "np.typing.NDArray[np.float64]") -> Array | None:
+    """Choose what is taken off observations: the first one's large numbers, in float32.
+
+    float32 has seven digits; a number of a million that changes by a hundredth would not change.
+    """
+    with np.errstate(over="ignore"):
+        large = np.where(np.abs(obs) >= _LARGE, obs, 0.0).astype(np.float32)
+    usable: Array = np.where(np.isfinite(large), large, np.float32(0.0))
+    return usable if usable.any() else None
+
+
+def _describe(parent: Parent) -> None:
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    seed_globals(_SEED)
+    environment = Environment(EnvConfig.from_json(parent.task["env"]), activity=parent.activity)
+    offset = offset_of(environment.first_obs(_SEED))
+    spaces = environment.spaces
+    parent.report(
+        {
+            "result": {
+                "obs_size": spaces.obs_size,
+                "action_low": spaces.action_low.tolist(),
+                "action_high": spaces.action_high.tolist(),
+                "obs_offset": None if offset is None else offset.tolist(),
+                "layout": environment.layout,
+            }
+        }
+    )
+    environment.close()
+
+
+if __name__ == "__main__":
+    answer(_describe)

@@ -1,0 +1,262 @@
+"""One environment that speaks float32, whatever the user's own one speaks."""
+
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from a2s.actors.activity import CLOSE, MAKE, RESET, STEP, Activity
+from a2s.actors.environments.faults import Faults, brief, wrong_reset
+from a2s.actors.environments.making import as_usage, flatten, limit_of, make
+from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import FaultyEnvironmentError
+from a2s.protocol.fields import Array
+from a2s.protocol.messages import MOST_METRICS, EpisodeMetric
+
+logger = logging.getLogger(__name__)
+
+# Whoever uses the numbers says what is too large for float32, and in which environment.
+warnings.filterwarnings("ignore", "overflow encountered in cast", RuntimeWarning)
+
+_FLOAT32 = np.dtype(np.float32)
+
+
+class Environment:
+    """One environment, from its making to its close.
+
+    What is taken from it is copied, and so are the actions that it gets: it may fill one buffer
+    again and again. What it gives may come in any shape, dtype or kind of sequence that has the
+    right count of numbers.
+
+    Attributes:
+        name: Its id, for the user.
+        spaces: As flat Boxes.
+        layout: Parts of an observation and their sizes, in the order of its numbers.
+        episode_limit: Steps after which Gymnasium truncates an episode; ``None``: never.
+
+    Args:
+        config: Which, and how to make it.
+        worker: Number of the actor process.
+        index: Of the environment in the process.
+        activity: Where every call into it is noted.
+        offset: Taken off observations, float32 ``[D]``.
+
+    Raises:
+        UsageError: There is no such environment, or its spaces are not supported.
+        FaultyEnvironmentError: Its constructor raised.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        *,
+        worker: int = 0,
+        index: int = 0,
+        activity: Activity | None = None,
+        offset: Array | None = None,
+    ) -> None:
+        self.name = config.env_id
+        self._faults = Faults(config.env_id)
+        self._activity = activity or Activity()
+        self._index = index
+        self._metric_names = config.metric_names
+        self._info: Mapping[str, Any] = {}
+        self._activity.begin(MAKE, index)
+        try:
+            env, self._takes_seed = make(config, worker, index)
+            self.layout: Layout = read_layout(config.env_id, env.observation_space)
+            self._env = flatten(env, config)
+            self.spaces = read_spaces(config.env_id, self._env)
+        except BaseException as error:  # whatever a user's code raises
+            raise as_usage(config, error) or self._faults.of_make(error) from error
+        self._activity.end()
+        if config.frame_stack > 1:
+            self.layout = [
+                (f"{name}, {config.frame_stack - 1 - age} before", size)
+                for age in range(config.frame_stack)
+                for name, size in self.layout
+            ]
+        self.episode_limit = limit_of(self._env)
+        space: Any = self._env.action_space
+        self._action_dtype, self._action_shape = space.dtype, space.shape
+        self._rounds = not np.issubdtype(space.dtype, np.floating)
+        self._is_plain = not self._rounds and len(space.shape) == 1
+        self._shape = (self.spaces.obs_size,)
+        # Looked up once: a step calls these.
+        self._step = self._env.step
+        self._begin, self._end = self._activity.begin, self._activity.end
+        self._offset = None if offset is None else offset.astype(np.float64)
+        if not self._takes_seed and index == 0:
+            logger.warning(
+                "environment %s: its reset takes no seed; random and np.random are seeded instead",
+                config.env_id,
+            )
+
+    def reset(self, seed: int | None = None) -> Array:
+        """Begin an episode.
+
+        Args:
+            seed: Begins a reproducible series of episodes; ``None`` goes on with the present one.
+
+        Returns:
+            The first observation, float32 ``[D]``.
+
+        Raises:
+            FaultyEnvironmentError: It raised, or returned what no reset may.
+        """
+        return self._obs("reset", self._reset(seed))
+
+    def first_obs(self, seed: int) -> npt.NDArray[np.float64]:
+        """Begin an episode like :meth:`reset`, and give what is seen before it is float32: ``[D]``.
+
+        Raises:
+            FaultyEnvironmentError: It raised, or returned what no reset may.
+        """
+        obs = self._reset(seed)
+        self._obs("reset", obs)
+        return np.array(obs, dtype=np.float64).reshape(self._shape)
+
+    def _reset(self, seed: int | None) -> Any:
+        self._activity.begin(RESET, self._index)
+        try:
+            result = self._env.reset(seed=seed)
+        except BaseException as error:  # whatever a user's code raises
+            raise self._faults.of_call(
+                "reset", self._env, error, lambda env: env.reset(seed=seed)
+            ) from error
+        self._activity.end()
+        wrong = wrong_reset(result)
+        if wrong:
+            raise self._faults.returned(self._env, "reset", wrong.removeprefix("reset returned "))
+        return result[0]
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool]:
+        """Make one step; after the last one of an episode, call :meth:`reset`.
+
+        Args:
+            action: In the environment's units, float32 ``[A]``.
+
+        Returns:
+            Next observation (float32 ``[D]``, the true final one at an end), reward,
+            ``terminated`` and ``truncated``; never both, a terminal state wins.
+
+        Raises:
+            FaultyEnvironmentError: It raised, or returned what no step may.
+        """
+        own = action.astype(self._action_dtype) if self._is_plain else self._converted(action)
+        self._begin(STEP, self._index)
+        try:
+            obs, reward, terminated, truncated, self._info = self._step(own)
+        except BaseException as error:  # whatever a user's code raises
+            raise self._faults.of_call(
+                "step", self._env, error, lambda env: env.step(own)
+            ) from error
+        self._end()
+        if type(reward) is not float:  # NumPy's own float64 is one by isinstance
+            reward = float(reward) if isinstance(reward, float) else self._number(reward)
+        if type(terminated) is not bool:
+            terminated = self._truth("terminated", terminated)
+        if type(truncated) is not bool:
+            truncated = self._truth("truncated", truncated)
+        return self._obs("step", obs), reward, terminated, truncated and not terminated
+
+    def metrics(self) -> tuple[EpisodeMetric, ...]:
+        """Give what ``info`` told with the latest step under the keys that are wanted."""
+        if not isinstance(self._info, Mapping):
+            return ()
+        found = []
+        for name in self._metric_names[:MOST_METRICS]:
+            try:
+                value = self._info.get(name)
+                number = float(np.asarray(value).reshape(()))
+            except Exception:  # noqa: BLE001  # absent, no number, or a user's object raises
+                continue
+            if np.isfinite(number):
+                found.append(EpisodeMetric(name=name, value=number))
+        return tuple(found)
+
+    def other_numbers(self) -> list[str]:
+        """Name what ``info`` told with the latest step and nobody has asked for."""
+        info = self._info if isinstance(self._info, Mapping) else {}
+        numbers = [k for k, v in info.items() if isinstance(v, int | float | np.number | np.bool_)]
+        return sorted(str(k) for k in numbers if k not in self._metric_names)
+
+    def close(self) -> None:
+        """Free the simulator; one that raises is named, and no harm."""
+        self._activity.begin(CLOSE, self._index)
+        try:
+            self._env.close()
+        except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
+            logger.warning("%s", self._faults.raised("close", error))
+        self._activity.end()
+
+    def _converted(self, action: Array) -> Any:
+        if self._rounds:
+            action = np.rint(action)
+        return action.astype(self._action_dtype).reshape(self._action_shape)
+
+    def _obs(self, call: str, obs: Any) -> Array:
+        try:
+            if self._offset is not None:
+                obs = np.asarray(obs, dtype=np.float64).reshape(self._shape) - self._offset
+            found: Array = np.array(obs, _FLOAT32)
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            raise self._misfit(call, obs) from None
+        if found.shape == self._shape:
+            return found
+        if obs is None or found.size != self.spaces.obs_size:
+            raise self._misfit(call, obs)
+        return found.reshape(self._shape)
+
+    def _misfit(self, call: str, obs: Any) -> FaultyEnvironmentError:
+        try:
+            if obs is None:
+                raise TypeError
+            what = f"of {np.asarray(obs, dtype=np.float64).size} numbers"
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            what = f"{brief(obs)}"
+        return self._faults.returned(
+            self._env, call, f"an observation {what}, expected {self.spaces.obs_size}"
+        )
+
+    def _number(self, reward: Any) -> float:
+        try:
+            found = np.asarray(reward, dtype=np.float64)
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            found = np.empty(0)
+        if found.size != 1 or reward is None:
+            what = f"of shape {found.shape}" if found.size > 1 else f"of {brief(reward)}"
+            raise self._faults.returned(self._env, "step", f"a reward {what}, expected a number")
+        return float(found.reshape(()))
+
+    def _truth(self, name: str, value: Any) -> bool:
+        if isinstance(value, np.bool_):
+            return bool(value)
+        found = np.asarray(value)
+        if found.size != 1 or found.dtype.kind not in "biuf" or isinstance(value, float):
+            raise self._faults.returned(
+                self._env, "step", f"{name} {brief(value)}, expected True or False; the order is "
+                "obs, reward, terminated, truncated, info"
+            )  # fmt: skip
+        return bool(found.reshape(()))
+
+
+def require_alike(environments: Sequence[Environment]) -> None:
+    """Check that the environments of one process have the same spaces.
+
+    Raises:
+        FaultyEnvironmentError: One differs from the first.
+    """
+    first = environments[0]
+    for index, environment in enumerate(environments):
+        difference = first.spaces.differs_from(environment.spaces)
+        if difference:
+            raise FaultyEnvironmentError(
+                f"environment {first.name}: environment {index} of this process has {difference} "
+                "as the first",
+                by_mistake=True,
+            )

@@ -1,0 +1,236 @@
+"""Making an environment as the run says: its id, its arguments, and what is wrapped round it."""
+
+import importlib
+import importlib.util
+import inspect
+import os
+import random
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, SupportsFloat
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.envs import registration
+
+from a2s.actors.environments.faults import Env, Faults
+from a2s.actors.environments.spaces import is_flat
+from a2s.protocol.env_config import EnvConfig, wrapper_of
+from a2s.protocol.errors import A2SError, UsageError
+
+_SHOWN = 8
+
+# Otherwise MuJoCo prints and leaves a MUJOCO_LOG.TXT behind, also for outdated models.
+mujoco.set_mju_user_warning(lambda _words: None)
+
+
+class ActionRepeat(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Makes ``times`` steps with each action, or fewer where the episode ends; adds up rewards."""
+
+    def __init__(self, env: Env, times: int) -> None:
+        super().__init__(env)
+        self._times = times
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Make the steps."""
+        total = 0.0
+        for _ in range(self._times):
+            obs, reward, terminated, truncated, info = self.env.step(action)
+            total = total + reward  # type: ignore[operator]  # a user's may be an array of one
+            if terminated or truncated:
+                break
+        return obs, total, terminated, truncated, info
+
+
+def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
+    """Make an environment.
+
+    Args:
+        config: Which, and how.
+        worker: Number of the actor process on its machine.
+        env_index: Of the environment in the process.
+
+    Returns:
+        The environment, its observations as it has them, and whether its reset takes a seed.
+
+    Raises:
+        UsageError: There is no such module, id, class, wrapper or argument of Gymnasium's.
+        Exception: Whatever the constructor raises.
+    """
+    os.environ["A2S_WORKER"], os.environ["A2S_ENV_INDEX"] = str(worker), str(env_index)
+    env = _construct(config, config.constructor_arguments(worker, env_index))
+    for setting in config.wrappers:
+        module, name, arguments = wrapper_of(setting)
+        env = _wrapped(config, env, _named(module, name), arguments)
+    if config.action_repeat > 1:
+        env = ActionRepeat(env, config.action_repeat)
+    return env, _mend_resets(env)
+
+
+def flatten(env: Env, config: EnvConfig) -> Env:
+    """Make observations arrays of a Box, of which the latest ``frame_stack`` are given at once."""
+    if config.frame_stack > 1 or not is_flat(env.observation_space):
+        env = gymnasium.wrappers.FlattenObservation(env)
+    if config.frame_stack > 1:
+        env = gymnasium.wrappers.FrameStackObservation(env, config.frame_stack)
+    return env
+
+
+def seed_globals(seed: int) -> None:
+    """Seed ``random`` and ``np.random``, which environments use though they should not."""
+    random.seed(seed)
+    np.random.seed(seed % (1 << 32))  # noqa: NPY002  # the very thing that they use
+
+
+def limit_of(env: Env) -> int | None:
+    """Give the steps after which Gymnasium truncates an episode; ``None``: it never does."""
+    spec = getattr(env, "spec", None)  # a wrapper of the user's may have none
+    return spec.max_episode_steps if spec is not None else None
+
+
+def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
+    place, _, name = config.env_id.rpartition(":")
+    more: dict[str, Any] = {"disable_env_checker": True}
+    if config.max_episode_steps:
+        more["max_episode_steps"] = config.max_episode_steps
+    with warnings.catch_warnings():
+        # Gymnasium announces newer versions of an id; the user chose this one.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            module = _module_of(config.env_id, place)
+            if module is None or name in gymnasium.registry:
+                return gymnasium.make(name, **more, **arguments)
+            made = _in_module(config.env_id, module, name)
+            spec = registration.EnvSpec(id=f"{made.__name__}-v0", entry_point=made)
+        except gymnasium.error.Error as error:
+            advice = f"; name what is in it: {name}:CLASS" if name.endswith(".py") else ""
+            raise UsageError(f"environment {config.env_id!r}: {_line(error)}{advice}") from None
+        try:
+            return gymnasium.make(spec, **more, **arguments)
+        except BaseException as error:  # whatever a user's code raises
+            raise Faults(config.env_id).of_make(error, made) from error
+
+
+def _module_of(env_id: str, place: str) -> Any:
+    try:
+        return _module(place) if place else None
+    except UsageError as error:
+        raise UsageError(f"environment {env_id!r}: {error}") from None
+
+
+def _in_module(env_id: str, module: Any, name: str) -> Any:
+    """Find a class, or a function, that makes an environment, in a module that has no such id."""
+    made = getattr(module, name, None)
+    if callable(made):
+        return made
+    own = [
+        n
+        for n, found in vars(module).items()
+        if isinstance(found, type) and issubclass(found, gymnasium.Env)
+    ]
+    more = ", ..." if len(own) > _SHOWN else ""
+    there = f"there are {', '.join(sorted(own)[:_SHOWN])}{more}" if own else "it has no environment"
+    raise UsageError(f"environment {env_id!r}: found neither an id nor a class {name!r}; {there}")
+
+
+def _module(place: str) -> Any:
+    """Import the module of an environment, or run its file."""
+    if not place.endswith(".py"):
+        try:
+            return importlib.import_module(place)
+        except ModuleNotFoundError as error:
+            if error.name is None or not place.startswith(error.name):
+                raise  # it is there, and lacks something itself
+            raise UsageError(
+                f"{place}: {_line(error)}; install it, run where it lies, or name its file: "
+                "./FILE.py:NAME"
+            ) from None
+    path = Path(place)
+    if not path.exists() and Path(path.name).exists():
+        path = Path(path.name)  # of another machine's directory: the same file in ours
+    if not path.exists():
+        raise UsageError(f"{place}: found no such file, nor {path.name} in {Path.cwd()}")
+    path = path.resolve()
+    loaded = sys.modules.get(path.stem)
+    if loaded is not None and getattr(loaded, "__file__", None) == str(path):
+        return loaded
+    sys.path.append(str(path.parent))
+    found = importlib.util.spec_from_file_location(path.stem, path)
+    assert found is not None
+    assert found.loader is not None
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def _wrapped(
+    config: EnvConfig, env: Env, wrapper: Callable[..., Env], arguments: dict[str, Any]
+) -> Env:
+    try:
+        return wrapper(env, **arguments)
+    except BaseException as error:  # whatever a user's code raises
+        raise Faults(config.env_id).of_wrapper(wrapper, error) from error
+
+
+def _named(module: str, name: str) -> Callable[..., Env]:
+    try:
+        found = getattr(_module(module), name, None)
+    except (UsageError, ImportError) as error:
+        raise UsageError(f"--wrapper: {_line(error)}") from None
+    if not callable(found):
+        raise UsageError(f"--wrapper: found no {name!r} in {module}, expected a class there")
+    made: Callable[..., Env] = found
+    return made
+
+
+def _mend_resets(env: Env) -> bool:
+    """Let a ``reset()`` that takes no seed or options be called with both.
+
+    Returns:
+        Whether the innermost one takes a seed.
+    """
+    layer, takes_seed = env, True
+    while True:
+        accepted = _accepted(layer)
+        if accepted != {"seed", "options"}:
+            layer.reset = _without(layer.reset, accepted)  # type: ignore[method-assign]
+        if not isinstance(layer, gymnasium.Wrapper):
+            return takes_seed and "seed" in accepted
+        takes_seed = takes_seed and "seed" in accepted
+        layer = layer.env
+
+
+def _accepted(env: Env) -> set[str]:
+    try:
+        parameters = inspect.signature(env.reset).parameters
+    except (TypeError, ValueError):
+        return {"seed", "options"}
+    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        return {"seed", "options"}
+    return {"seed", "options"} & parameters.keys()
+
+
+def _without(reset: Callable[..., Any], accepted: set[str]) -> Callable[..., Any]:
+    def called(*, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        given = {"seed": seed, "options": options}
+        return reset(**{name: given[name] for name in accepted})
+
+    return called
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def as_usage(config: EnvConfig, error: BaseException) -> A2SError | None:
+    """Tell what is wrong with the user's words rather than with the environment, if it is that."""
+    if isinstance(error, A2SError):
+        return error
+    if isinstance(error, ImportError):
+        return UsageError(
+            f"environment {config.env_id!r}: {_line(error)}; install it, or name another"
+        )
+    return None

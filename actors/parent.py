@@ -1,0 +1,95 @@
+"""What a child process has of its parent: a task, a way to report, and its end."""
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from a2s.actors.activity import Activity
+from a2s.actors.children import Report, told
+from a2s.actors.families import FAMILY, end_family, inherit_orphans
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError
+
+_GRACE_S = 15.0
+
+
+class Parent:
+    """The parent's end of this process; made first of all in it.
+
+    The working directory is searched for modules after all else, so that a user's own are found
+    and none of ours, or of Python, is hidden by one of the same name.
+
+    Attributes:
+        task: What the parent told.
+        activity: The page on which calls into environments are noted.
+        stopped: Set when the parent lets this process stop, or has died.
+    """
+
+    def __init__(self, descriptors: list[str]) -> None:
+        self._report, life, page = (int(text) for text in descriptors)
+        for fd in (self._report, life, page):
+            os.set_inheritable(fd, False)
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(line_buffering=True, errors="replace")  # type: ignore[union-attr]
+        sys.path.append(os.getcwd())
+        self.activity = Activity(page)
+        self.stopped = threading.Event()
+        self._parent, self._family = os.getppid(), os.environ.get(FAMILY, "")
+        inherit_orphans()
+        self._lock = threading.Lock()
+        lines = os.fdopen(life, "rb", buffering=0)
+        self.task: dict[str, Any] = json.loads(_line(lines.read))
+        threading.Thread(target=self._await_end, args=(lines.read,), daemon=True).start()
+
+    def report(self, report: Report) -> None:
+        """Tell the parent something that survives JSON."""
+        data = (json.dumps(report) + "\n").encode()
+        with self._lock:
+            try:
+                while data:
+                    data = data[os.write(self._report, data) :]
+            except OSError:  # nobody reads, or the environment has closed what is not its own
+                self.stopped.set()
+
+    def leave(self, code: int) -> None:
+        """End this process at once, and its family if the parent is no more to do it."""
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):  # it may be a user's own by now
+                stream.flush()
+        if os.getppid() != self._parent:
+            end_family(self._family, living=set())
+            os.killpg(0, signal.SIGKILL)
+        os._exit(code)
+
+    def _await_end(self, read: Callable[[int], bytes]) -> None:
+        while read(1):
+            pass
+        self.stopped.set()
+        # A call into an environment may never return.
+        threading.Event().wait(_GRACE_S)
+        self.leave(1)
+
+
+def answer(work: Callable[[Parent], None]) -> None:
+    """Do what a child that reports one ``result`` does, and end this process."""
+    parent = Parent(sys.argv[1:])
+    try:
+        work(parent)
+    except A2SError as error:
+        parent.report({"error": told(error)})
+    except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
+        fault = FaultyEnvironmentError(f"{type(error).__name__}: {error}")
+        parent.report({"error": told(fault)})
+    parent.leave(0)
+
+
+def _line(read: Callable[[int], bytes]) -> bytes:
+    """Read a line byte by byte: what follows it is not ours to buffer."""
+    line = b""
+    while not line.endswith(b"\n") and (byte := read(1)):
+        line += byte
+    return line or b"{}"

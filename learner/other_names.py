@@ -1,0 +1,92 @@
+"""What other libraries call our settings, so that who comes from there finds them.
+
+Only what means the same is in the tables, though a count may be of one environment there, and of
+all of them here. Stable-Baselines3's ``train_freq`` and ``target_entropy`` are not: they are in
+other units than ``updates_per_step`` and ``entropy_per_action``.
+"""
+
+from collections.abc import Collection, Mapping
+
+from a2s.protocol.errors import nearest
+
+# Stable-Baselines3, CleanRL, RLPD and Acme, in this order.
+_EITHER = {
+    "lr": "learning_rate",
+    "policy_lr": "learning_rate",
+    "actor_lr": "learning_rate",
+    "policy_learning_rate": "learning_rate",
+    "q_lr": "critic_learning_rate",
+    "vf_lr": "critic_learning_rate",
+    "critic_lr": "critic_learning_rate",
+    "discount": "gamma",
+    "norm_obs": "normalise_obs",
+    "n_critics": "critics",
+    "num_qs": "critics",
+}
+ON_POLICY = _EITHER | {
+    "n_steps": "batch_steps",
+    "num_steps": "batch_steps",
+    "batch_size": "policy_minibatch",
+    "minibatch_size": "policy_minibatch",
+    "n_epochs": "policy_epochs",
+    "update_epochs": "policy_epochs",
+    "num_epochs": "policy_epochs",
+    "clip_range": "clip_ratio",
+    "clip_coef": "clip_ratio",
+    "ppo_clipping_epsilon": "clip_ratio",
+    "ent_coef": "entropy_weight",
+    "entropy_cost": "entropy_weight",
+    "normalize_advantage": "normalise_advantage",
+    "norm_adv": "normalise_advantage",
+    "target_kl": "kl_stop",
+    "max_gradient_norm": "max_grad_norm",
+    "activation_fn": "activation",
+}
+OFF_POLICY = _EITHER | {
+    "buffer_size": "replay_rows",
+    "max_replay_size": "replay_rows",
+    "learning_starts": "warm_up_steps",
+    "start_training": "warm_up_steps",
+    "min_replay_size": "warm_up_steps",
+    "batch_size": "batch_rows",
+    "gradient_steps": "updates_per_step",
+    "utd_ratio": "updates_per_step",
+    "n_steps": "n_step",
+    "ent_coef": "initial_temperature",
+    "alpha": "initial_temperature",
+    "init_temperature": "initial_temperature",
+    "temp_lr": "temperature_learning_rate",
+    "n_quantiles": "quantiles",
+    "top_quantiles_to_drop_per_net": "dropped_quantiles",
+    "importance_sampling_exponent": "importance_exponent",
+}
+RUN = {
+    "total_timesteps": "total_steps",
+    "max_steps": "total_steps",
+    "n_envs": "envs",
+    "num_envs": "envs",
+    "env_id": "env",
+    "gym_id": "env",
+    "env_name": "env",
+    "exp_name": "run",
+    "num_actors": "n",
+}
+
+
+def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
+    """Say which name is meant by a wrong one.
+
+    Args:
+        name: The wrong one.
+        valid: All right ones.
+        others: Of those, what other libraries call them.
+
+    Returns:
+        ``" (here it is 'replay_rows')"``; for a hyperparameter that is none here
+        ``" (here it is the option --envs)"``; else what `nearest` says.
+    """
+    if name in others:
+        return f" (here it is {others[name]!r})"
+    if name in RUN:
+        return f" (here it is the option --{RUN[name].replace('_', '-')})"
+    return nearest(name, valid)

@@ -1,0 +1,113 @@
+"""What is taken from an environment and given to it: whatever the form, it is what happened."""
+
+import random
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from a2s_case_envs import SAME_AS_CONTROL
+from case_plays import action, are_the_same, play
+
+from a2s.actors.environments.environment import Environment
+from a2s.protocol.env_config import EnvConfig
+
+MakeGraph = Callable[..., bytes]
+CONTROL = "a2s_case_envs:Control-v0"
+
+
+@pytest.fixture
+def graph(make_graph: MakeGraph) -> bytes:
+    """A policy of the control's sizes."""
+    return make_graph(obs_size=3, low=(-1.0,), high=(1.0,))
+
+
+@pytest.mark.parametrize("name", SAME_AS_CONTROL)
+def test_what_is_played_is_the_same_as_without_the_trait(graph: bytes, name: str) -> None:
+    """Two episodes and a half in two environments."""
+    control = play(graph, CONTROL)
+    assert len(np.unique(control[0].obs, axis=0)) == 100
+    assert [segment.episode_length for segment in control] == [100, 100, 100, 100, 50, 50]
+    assert are_the_same(play(graph, f"a2s_case_envs:{name}-v0"), control)
+
+
+@pytest.mark.parametrize("name", ["InPlace", "InPlace64", "View", "SpoiltByReset"])
+def test_an_observation_is_ones_own_as_soon_as_it_is_taken(name: str) -> None:
+    """Not only once a segment is made of it."""
+    environment = Environment(EnvConfig(env_id=f"a2s_case_envs:{name}-v0"))
+    taken = [environment.reset(seed=1)]
+    taken += [environment.step(action(0.01 * i))[0] for i in range(100)]
+    environment.reset()
+    assert np.array_equal([obs[0] for obs in taken], np.arange(101, dtype=np.float32) / 100)
+    assert not any(np.shares_memory(taken[0], obs) for obs in taken[1:])
+
+
+@pytest.mark.parametrize("name", ["MutatesAction", "KeepsAction"])
+def test_an_action_given_away_is_another_array(name: str) -> None:
+    environment = Environment(EnvConfig(env_id=f"a2s_case_envs:{name}-v0"))
+    environment.reset(seed=1)
+    ours = action(0.0)
+    for i in range(10):
+        ours[:] = i / 10
+        obs, *_ = environment.step(ours)
+        assert ours[0] == obs[1] == np.float32(i / 10)
+
+
+@pytest.mark.parametrize("name", ["StepRandom", "NoSeedRandom"])
+def test_a_seed_repeats_what_the_modules_draw_whatever_they_drew_before(
+    graph: bytes, name: str
+) -> None:
+    plays = []
+    for before in (1, 2):
+        random.seed(before)
+        np.random.seed(before)  # noqa: NPY002
+        plays.append(play(graph, f"a2s_case_numbers:{name}-v0"))
+    assert are_the_same(*plays)
+    first, second = plays[0][:2]
+    assert not np.array_equal(first.obs[0], second.obs[0])  # two environments draw differently
+
+
+@pytest.mark.parametrize("name", ["NoSeed", "OnlyOptions"])
+def test_that_a_seed_cannot_be_given_is_said_once(
+    name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    environment = Environment(EnvConfig(env_id=f"a2s_case_envs:{name}-v0"))
+    for _ in range(3):
+        environment.reset(seed=1)
+    said = [line for line in caplog.messages if "seed" in line]
+    assert len(said) == 1, caplog.text
+    assert f"environment a2s_case_envs:{name}-v0" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("CloseRaises", "RuntimeError: there is nothing to close"), ("CloseExits", "SystemExit: 3")],
+)
+def test_a_close_that_raises_is_said_and_no_more(
+    name: str, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    environment = Environment(EnvConfig(env_id=f"a2s_case_processes:{name}-v0"))
+    environment.reset(seed=1)
+    environment.close()
+    assert f"environment a2s_case_processes:{name}-v0: close raised {said}" in caplog.text
+
+
+def test_wrappers_repeats_and_stacks_lie_round_an_environment_in_this_order() -> None:
+    """Observations plus eight, rewards times a hundred; four steps, and three of the latest."""
+    config = EnvConfig(
+        env_id=CONTROL,
+        wrappers=(
+            'a2s_case_numbers:Shift={"by": 7.0, "times": 100.0}', "a2s_case_numbers:Shift",
+        ),
+        action_repeat=4,
+        frame_stack=3,
+        max_episode_steps=10,
+    )  # fmt: skip
+    environment = Environment(config)
+    assert environment.spaces.obs_size == 9
+    first = environment.reset(seed=1)
+    assert first.reshape(3, 3)[:, 1].tolist() == [8.0, 8.0, 8.0]
+    steps = [environment.step(action(0.25)) for _ in range(3)]
+    times = [obs.reshape(3, 3)[:, 0].tolist() for obs, *_ in steps]
+    assert np.allclose(times, np.array([[0, 0, 4], [0, 4, 8], [4, 8, 10]]) / 100 + 8.0)
+    assert [reward for _, reward, *_ in steps] == [-100.0, -100.0, -50.0]
+    assert [truncated for *_, truncated in steps] == [False, False, True]

@@ -1,0 +1,183 @@
+"""Environments that are wrong, each in one way; importing this module registers them."""
+
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from a2s_case_envs import Control, Obs, Step, register
+
+Change = Callable[[Any], Any]
+
+
+class WrongStep(Control):
+    """From its ``at``-th step on it gives ``change`` of what it should give."""
+
+    def __init__(self, change: Change, at: int = 1) -> None:
+        super().__init__()
+        self._change, self._from, self._steps = change, at, 0
+
+    def step(self, action: Obs) -> Any:
+        """Give something else."""
+        result = super().step(action)
+        self._steps += 1
+        return self._change(result) if self._steps >= self._from else result
+
+
+class WrongReset(Control):
+    """Its reset gives ``change`` of what it should give."""
+
+    def __init__(self, change: Change) -> None:
+        super().__init__()
+        self._change = change
+
+    def reset(self, **_: Any) -> Any:
+        """Give something else."""
+        return self._change((self.begin(), {}))
+
+
+class FailingStep(Control):
+    """Fails in its ``at``-th step, in the way that it is told."""
+
+    def __init__(self, how: str, at: int = 1) -> None:
+        super().__init__()
+        self._how, self._from, self._steps = how, at, 0
+
+    def step(self, action: Obs) -> Step:
+        """Fail."""
+        self._steps += 1
+        if self._steps >= self._from:
+            fail(self._how)
+        return super().step(action)
+
+
+class FailingReset(Control):
+    """Fails in reset, in the way that it is told."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__()
+        self._how = how
+
+    def begin(self) -> Obs:
+        """Fail."""
+        fail(self._how)
+        return super().begin()
+
+
+class FailingMake(Control):
+    """Fails when it is made, in the way that it is told."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__()
+        fail(how)
+
+
+class NeedsPath(Control):
+    """Its constructor wants an argument."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__()
+        self._path = path
+
+
+def _raise(error: BaseException) -> None:
+    raise error
+
+
+# The ways in which people's code fails; the comments say which line of this file it is.
+_FAILURES: dict[str, Callable[[], object]] = {
+    "no file": lambda: open("x.xml"),  # noqa: SIM115  # line: no file
+    "key": lambda: dict[str, int]()["gripper"],  # line: key
+    "deep": lambda: np.linalg.inv(np.zeros((2, 2))),  # line: deep
+    "exit": lambda: sys.exit(3),  # line: exit
+    "input": lambda: input("your name? "),  # line: input
+    "two lines": lambda: _raise(ValueError("the first line\nthe second")),
+    "no words": lambda: _raise(AssertionError()),
+    "interrupt": lambda: _raise(KeyboardInterrupt()),
+    "abort": os.abort,
+}
+
+
+def fail(how: str) -> None:
+    """Fail in one of these ways."""
+    _FAILURES[how]()
+
+
+def line_of(how: str) -> int:
+    """The line of this file that fails in this way, or raises what fails."""
+    with open(__file__) as file:
+        lines = {line.rstrip(): i for i, line in enumerate(file, 1)}
+    marked = [i for line, i in lines.items() if line.endswith(f"# line: {how}")]
+    return marked[0] if marked else lines["    raise error"]
+
+
+# What is said of each, after the name of the environment and before the file.
+STEPS: dict[str, tuple[Change, str]] = {
+    "FourValues": (
+        lambda s: (s[0], s[1], s[2], s[4]),
+        r"step returned 4 values, expected 5 \(obs, reward, terminated, truncated, info\)",
+    ),
+    "SixValues": (lambda s: (*s, None), r"step returned 6 values, expected 5"),
+    "OnlyObs": (lambda s: s[0], r"step returned .*expected .*\(obs, reward, terminated"),
+    "Nothing": (lambda s: None, r"step returned None, expected .*\(obs, reward, terminated"),
+    "VectorReward": (
+        lambda s: (s[0], np.array([s[1], s[1]]), *s[2:]),
+        r"step returned a reward of shape \(2,\), expected a number",
+    ),
+    "NoReward": (lambda s: (s[0], None, *s[2:]), r"step returned .*None.*expected a number"),
+    "WordReward": (lambda s: (s[0], "good", *s[2:]), r"step returned .*good.*expected a number"),
+    "Longer": (
+        lambda s: (np.append(s[0], np.float32(0)), *s[1:]),
+        r"step returned an observation of 4 numbers, expected 3",
+    ),
+    "Shorter": (
+        lambda s: (s[0][:2], *s[1:]), r"step returned an observation of 2 numbers, expected 3",
+    ),
+    "DictOfIt": (
+        lambda s: ({"state": s[0]}, *s[1:]),
+        r"step returned an observation \{'state': .*expected 3",
+    ),
+    "NoObs": (lambda s: (None, *s[1:]), r"step returned .*None.*expected"),
+    "Ragged": (
+        lambda s: ([[0.0], [1.0, 2.0]], *s[1:]), r"step returned an observation .*expected",
+    ),
+    "NoEnd": (
+        lambda s: (*s[:2], None, *s[3:]), r"step returned .*terminated.*None.*expected",
+    ),
+    "VectorEnd": (
+        lambda s: (*s[:2], np.array([True, False]), *s[3:]),
+        r"step returned .*terminated.*expected",
+    ),
+}  # fmt: skip
+RESETS: dict[str, tuple[Change, str]] = {
+    "ResetOnlyObs": (lambda r: r[0], r"reset returned .*no info, expected \(obs, info\)"),
+    "ResetNothing": (lambda r: None, r"reset returned None.*, expected \(obs, info\)"),
+    "ResetThree": (lambda r: (*r, 0.0), r"reset returned 3 values, expected .*\(obs, info\)"),
+    "ResetLonger": (
+        lambda r: (np.append(r[0], np.float32(0)), {}),
+        r"reset returned an observation of 4 numbers, expected 3",
+    ),
+    "ResetDict": (
+        lambda r: ({"state": r[0]}, {}), r"reset returned an observation \{'state': .*expected 3",
+    ),
+}  # fmt: skip
+RAISED = {
+    "no file": r"FileNotFoundError: \[Errno 2\] No such file or directory: 'x\.xml'",
+    "key": r"KeyError: 'gripper'",
+    "deep": r"LinAlgError: Singular matrix",
+    "two lines": r"ValueError: the first line",
+    "no words": r"AssertionError",
+    "exit": r"SystemExit: 3",
+}
+for _name, (_change, _) in STEPS.items():
+    register(_name, WrongStep, change=_change)
+for _name, (_change, _) in RESETS.items():
+    register(_name, WrongReset, change=_change)
+register("FourValuesLater", WrongStep, change=STEPS["FourValues"][0], at=330)
+for _how in _FAILURES:
+    _name = "".join(_how.title().split())
+    register(f"FailingStep{_name}", FailingStep, how=_how)
+    register(f"FailingReset{_name}", FailingReset, how=_how)
+    register(f"FailingMake{_name}", FailingMake, how=_how)
+register("NeedsPath", NeedsPath)
