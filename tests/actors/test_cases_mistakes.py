@@ -2,6 +2,8 @@
 
 import inspect
 import re
+import sys
+from pathlib import Path
 
 import a2s_case_mistakes
 import pytest
@@ -10,7 +12,7 @@ from case_plays import action
 
 from a2s.actors.environments.environment import Environment
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import FaultyEnvironmentError
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError
 
 FILE = r"\((?:\S*/)?a2s_case_mistakes\.py:(\d+)\)"
 
@@ -77,6 +79,29 @@ def test_an_argument_that_is_not_given_is_said_with_its_name() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_ctrl_c_is_no_mistake_of_an_environment() -> None:
-    with pytest.raises(KeyboardInterrupt):
+def test_what_is_raised_may_be_no_exception_of_the_usual_kind() -> None:
+    """Ctrl-C does not reach the process of an environment: it has raised this itself."""
+    with pytest.raises(FaultyEnvironmentError, match=r"reset raised KeyboardInterrupt"):
         _make("FailingResetInterrupt").reset(seed=1)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("class Env(\n    pass\n", r"SyntaxError: .*\((?:\S*/)?broken\.py.*\d\)"),
+        ("\n1 / 0\n", r"ZeroDivisionError: division by zero \((?:\S*/)?broken\.py:2\)"),
+        ("import no_such_thing\n", r"No module named 'no_such_thing'"),
+        ("class Env:\n    pass\n", r"Env"),
+    ],
+)
+def test_a_module_that_cannot_be_used_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str
+) -> None:
+    (tmp_path / "broken.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    with pytest.raises(A2SError) as error:
+        Environment(EnvConfig(env_id="broken:Env"))
+    assert re.match("environment .?broken:Env", str(error.value))
+    assert re.search(said, str(error.value))
+    assert "\n" not in str(error.value)

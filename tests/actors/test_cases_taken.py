@@ -111,3 +111,17 @@ def test_wrappers_repeats_and_stacks_lie_round_an_environment_in_this_order() ->
     assert np.allclose(times, np.array([[0, 0, 4], [0, 4, 8], [4, 8, 10]]) / 100 + 8.0)
     assert [reward for _, reward, *_ in steps] == [-100.0, -100.0, -50.0]
     assert [truncated for *_, truncated in steps] == [False, False, True]
+
+
+def test_a_quota_of_whole_episodes_is_met_though_they_never_end(
+    graph: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As the preset of the authors asks for."""
+    segments = play(graph, "a2s_case_envs:Endless-v0", steps=1, episodes=1, num_envs=1)
+    assert sum(segment.num_steps for segment in segments) == 10_000
+    assert segments[-1].ends_episode
+    assert segments[-1].truncated
+    (line,) = caplog.messages
+    assert "a2s_case_envs:Endless-v0" in line
+    assert "10,000 steps" in line
+    assert "--max-episode-steps" in line

@@ -166,12 +166,12 @@ class NoSeedRandom(GlobalRandom):
         return self.begin(), {}
 
 
-class Success(Control):
-    """Tells at the end of an episode how it went, and other things."""
+class Success(Composite):
+    """Tells at the end of an episode how it went, and other things; observes many things."""
 
-    def __init__(self, reward_scale: float = 1.0) -> None:
-        super().__init__(length=50, reward_scale=reward_scale)
-        self._episode = 0
+    def __init__(self) -> None:
+        super().__init__()
+        self.length, self._episode = 50, 0
 
     def begin(self) -> Obs:
         """Count."""
@@ -182,12 +182,9 @@ class Success(Control):
         """Every second episode is a success."""
         obs, reward, terminated, truncated, _ = super().step(action)
         info: dict[str, Any] = {
-            "distance": np.float32(0.25),
-            "words": "left",
-            "reading": np.zeros(4),
-        }
-        over = self.at == self.length
-        if over:
+            "distance": np.float32(0.25), "words": "left", "reading": np.zeros(4),
+        }  # fmt: skip
+        if self.at == self.length:
             info["is_success"] = self._episode % 2 == 0
         return obs, reward, terminated, truncated, info
 

@@ -21,13 +21,19 @@ def action(*numbers: float) -> Array:
 
 
 def play(
-    graph: bytes, env_id: str, *, steps: int = 250, num_envs: int = 2, tally: Tally | None = None
+    graph: bytes,
+    env_id: str,
+    *,
+    steps: int = 250,
+    episodes: int = 0,
+    num_envs: int = 2,
+    tally: Tally | None = None,
 ) -> list[Segment]:
-    """Play a quota of steps in environments with this id."""
+    """Play a quota of steps, and of episodes, in environments with this id."""
     environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(num_envs)]
     rollout = Rollout("tester", environments, 0, tally or Tally(), Troubles())
     notice = Notice(
-        generation=1, epoch=0, version=1, quota_steps=steps, quota_episodes=0, num_bytes=1,
+        generation=1, epoch=0, version=1, quota_steps=steps, quota_episodes=episodes, num_bytes=1,
         sha256="",
     )  # fmt: skip
     return list(rollout.play(Suggester(graph), notice, lambda: False))

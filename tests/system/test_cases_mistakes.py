@@ -27,9 +27,6 @@ def _at(how: str) -> str:
             r"make raised FileNotFoundError: \[Errno 2\] No such file or directory: 'x\.xml'"
             + _at("no file"),
         ),
-        ("a2s_case_mistakes:NeedsPath-v0", (), r"make raised TypeError: .*'path'.*"),
-        ("a2s_case_mistakes:FailingMakeExit-v0", (), "make raised SystemExit: 3" + _at("exit")),
-        ("a2s_case_mistakes:ResetOnlyObs-v0", (), r"reset returned .*no info.*" + FILE),
         (
             "a2s_case_mistakes:FailingResetInput-v0", (),
             "reset raised EOFError: EOF when reading a line" + _at("input"),
@@ -56,20 +53,12 @@ def test_what_cannot_be_made_or_reset_is_said_in_one_line(
     assert "Traceback" not in done.err + done.out
 
 
-@pytest.mark.parametrize(
-    ("env", "code", "said"),
-    [
-        ("a2s_case_mistakes:FailingMakeNoFile-v0", 1, "make raised FileNotFoundError: .*'x.xml'.*"),
-        ("a2s_case_mistakes:FailingResetInput-v0", 1, "reset raised EOFError: EOF when reading.*"),
-        ("a2s_case_numbers:Widest-v0", 2, r"action 0 has bounds -3\.40282e\+38 to 3\.40282e\+38.*"),
-    ],
-)
-def test_a_training_finds_it_before_anything_starts(
-    tmp_path: Path, env: str, code: int, said: str
-) -> None:
+def test_a_training_finds_it_before_anything_starts(tmp_path: Path) -> None:
+    env = "a2s_case_mistakes:FailingResetInput-v0"
     done = a2s("train", "--env", env, *SMALL, "--run-dir", "run", cwd=tmp_path)
-    assert done.code == code, done.err
+    assert done.code == 1, done.err
     (line,) = (line for line in done.err.splitlines() if "a2s: " in line)
+    said = "reset raised EOFError: EOF when reading a line" + _at("input")
     assert re.fullmatch(f"a2s: environment {env}: {said}", line), done.err
     assert "Traceback" not in done.err + done.out
     assert not (tmp_path / "run").exists()
@@ -89,47 +78,22 @@ def test_an_evaluation_says_it_too(
     assert "Traceback" not in done.err + done.out
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("FourValuesLater", FOUR), ("FailingStepExit", "step raised SystemExit: 3" + _at("exit"))],
-)
-def test_a_mistake_in_a_step_ends_a_training_at_once(tmp_path: Path, name: str, said: str) -> None:
+def test_a_mistake_in_a_step_ends_a_training_at_once(tmp_path: Path) -> None:
     """Also one that comes after an update; nothing is tried again."""
-    env, begin_s = f"a2s_case_mistakes:{name}-v0", time.monotonic()
+    env, begin_s = "a2s_case_mistakes:FourValuesLater-v0", time.monotonic()
     done = a2s("train", "--env", env, *SMALL, "--run-dir", "run", cwd=tmp_path)
     assert done.code == 1, done.err
-    assert re.match(f"a2s: environment {env}: {said}", done.last), done.err
+    assert re.match(f"a2s: environment {env}: {FOUR}", done.last), done.err
     assert "Traceback" not in done.err + done.out + (tmp_path / "run" / "actors.log").read_text()
     assert "died" not in done.err
     assert events(tmp_path / "run", "restart") == []
     assert time.monotonic() - begin_s < 60
 
 
-@pytest.mark.parametrize("name", ["InfiniteSecond", "Image", "Buttons"])
-def test_spaces_that_cannot_be_used_are_exit_code_2(tmp_path: Path, name: str) -> None:
-    env = f"a2s_case_numbers:{name}-v0"
+def test_spaces_that_cannot_be_used_are_exit_code_2(tmp_path: Path) -> None:
+    env = "a2s_case_numbers:Widest-v0"
     done = a2s("check", env, cwd=tmp_path)
     assert done.code == 2, done.err
     (line,) = done.err.splitlines()
-    assert line.startswith(f"a2s: environment {env}: ")
-
-
-@pytest.mark.parametrize(
-    ("code", "said"),
-    [
-        (
-            "import gymnasium\nclass Env(gymnasium.Env:\n    pass\n",
-            r"SyntaxError: .*\(broken\.py.*2\)",
-        ),
-        ("1 / 0\n", r"ZeroDivisionError: division by zero \(broken\.py:1\)"),
-        ("import no_such_thing\n", r"No module named 'no_such_thing'"),
-        ("class Env:\n    pass\n", r"Env"),
-    ],
-)
-def test_a_module_that_cannot_be_imported_is_one_line(tmp_path: Path, code: str, said: str) -> None:
-    (tmp_path / "broken.py").write_text(code)
-    done = a2s("check", "broken:Env", cwd=tmp_path)
-    assert done.code in (1, 2)
-    assert re.match("a2s: environment .?broken:Env", done.last), done.err
-    assert re.search(said, done.last), done.err
-    assert "Traceback" not in done.err
+    bounds = r"action 0 has bounds -3\.40282e\+38 to 3\.40282e\+38"
+    assert re.match(f"a2s: environment {env}: {bounds}", line)
