@@ -5,7 +5,7 @@ A call that never returns may hold the interpreter as well, so the process canno
 
 import mmap
 import os
-import time
+from time import monotonic  # as it was before a user's code could replace it
 from typing import Literal, NamedTuple
 
 Call = Literal["make", "reset", "step", "close"]
@@ -45,7 +45,7 @@ class Activity:
 
     def begin(self, call: int, env_index: int) -> None:
         """Note that a call begins: ``MAKE``, ``RESET``, ``STEP`` or ``CLOSE``."""
-        self._page[0] = time.monotonic()
+        self._page[0] = monotonic()
         self._page[1] = call + _WIDTH * env_index
 
     def end(self) -> None:
@@ -58,7 +58,7 @@ class Activity:
         if not which:
             return None
         env_index, call = divmod(which, _WIDTH)
-        return Doing(_CALLS[call - 1], env_index, max(0.0, time.monotonic() - begun_s))
+        return Doing(_CALLS[call - 1], env_index, max(0.0, monotonic() - begun_s))
 
 
 def share() -> int:

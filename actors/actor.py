@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from time import monotonic
 
 from a2s.actors.activity import Activity
 from a2s.actors.environments.environment import Environment, require_alike
@@ -159,6 +160,7 @@ class Actor:
             env_id=env_id,
             spaces=environments[0].spaces,
             cause=self._cause,
+            slot=self._worker,
         )
         welcome = self._join(hello)
         suggester: Suggester | None = None
@@ -265,8 +267,8 @@ class Actor:
     def _beat(self) -> None:
         """Tell how it goes once a second, also while an environment keeps the actor waiting."""
         while not self._ended.wait(_STATUS_EVERY_S):
-            self._publish_status(leaving=False)
             self._report()
+            self._publish_status(leaving=False)
 
     def _publish_status(self, *, leaving: bool) -> None:
         if self._welcome is None:
@@ -290,7 +292,7 @@ class Actor:
         self._bus.publish(self._keys.actor_status(self._name), encode(status))
 
     def _say_waiting(self, what: str) -> None:
-        now_s = time.monotonic()
+        now_s = monotonic()
         if self._waiting_since_s is None:
             self._waiting_since_s = self._waiting_said_s = now_s
         elif now_s - self._waiting_said_s >= _PATIENCE_S:

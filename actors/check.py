@@ -1,11 +1,9 @@
 """A trial of an environment, in a process of its own: what it is, what it does, how fast it is."""
 
-import logging
 import re
-import sys
-import time
 import warnings
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -48,8 +46,8 @@ def _play(environment: Environment, rng: np.random.Generator) -> Report:
     lengths: list[int] = []
     ends, useless = [0, 0], 0
     environment.reset()
-    length, begin_s = 0, time.perf_counter()
-    while len(rewards) < _STEPS and time.perf_counter() - begin_s < _SECONDS:
+    length, begin_s = 0, perf_counter()
+    while len(rewards) < _STEPS and perf_counter() - begin_s < _SECONDS:
         action = np.clip(rng.uniform(low, high), low, high).astype(np.float32)
         obs, reward, terminated, truncated = environment.step(action)
         rewards.append(reward)
@@ -65,7 +63,7 @@ def _play(environment: Environment, rng: np.random.Generator) -> Report:
             environment.reset()
     return {
         "steps": len(rewards),
-        "steps_per_s": round(len(rewards) / (time.perf_counter() - begin_s), 1),
+        "steps_per_s": round(len(rewards) / (perf_counter() - begin_s), 1),
         "episode_lengths": lengths,
         "terminated": ends[0],
         "truncated": ends[1],
@@ -119,7 +117,6 @@ def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
 
 
 def _check(parent: Parent) -> None:
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     config = EnvConfig.from_json(parent.task["env"])
     rng = np.random.default_rng(0)
     environment = Environment(config, activity=parent.activity)

@@ -9,7 +9,6 @@ started end with it.
 import contextlib
 import json
 import logging
-import math
 import os
 import selectors
 import signal
@@ -23,20 +22,23 @@ from typing import Any
 
 from a2s.actors.activity import Activity, Doing, share
 from a2s.actors.families import FAMILY, end_family, inherit_orphans
+from a2s.actors.guard import start_guard
+from a2s.actors.words import Lines, Words
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
 
 logger = logging.getLogger(__name__)
 
 _CHUNK = 1 << 16
-_LONGEST_LINE = 4096
 _LOOK_EVERY_S = 0.1
 _LAST_WORDS_S = 1.0
 _SLOW_S = 10.0
 _STOP_S = 12.0
 _CLOSE_S = 5.0
+UNHEARD = 74  # exit code of a child that can tell its parent nothing more
 
 Report = dict[str, Any]
-_LIVING: set[int] = set()  # numbers of the children of this process
+_LIVING: set[int] = set()  # numbers of the children of this process, and of their guard
+_MARK = uuid.uuid4().hex  # of this process: what its children's families begin with
 
 
 class Child:
@@ -57,7 +59,9 @@ class Child:
         on_words: Callable[[str], None],
     ) -> None:
         inherit_orphans()
-        self._family = uuid.uuid4().hex
+        if not _LIVING:
+            _LIVING.add(start_guard(f"{FAMILY}={_MARK}"))
+        self._family = f"{_MARK}-{uuid.uuid4().hex}"
         self._on_report, self._on_words = on_report, on_words
         page = share()
         self._activity = Activity(page)
@@ -73,7 +77,8 @@ class Child:
                 stderr=their_words,
                 pass_fds=given,
                 start_new_session=True,
-                env={**os.environ, FAMILY: self._family},
+                # The order of a set of texts is part of what a seed repeats.
+                env={"PYTHONHASHSEED": "0", **os.environ, FAMILY: self._family},
             )
         finally:
             for fd in (theirs, their_words, their_life, page):
@@ -143,7 +148,7 @@ class Child:
 
     def _read(self, report: int, words: int) -> None:
         """Read until nobody can write, or the child has ended and nothing more comes."""
-        lines = {report: _Lines(self._take), words: _Lines(self._on_words, _LONGEST_LINE)}
+        lines: dict[int, Lines | Words] = {report: Lines(self._take), words: Words(self._on_words)}
         ended_s = 0.0
         with selectors.DefaultSelector() as selector:
             for fd in lines:
@@ -168,24 +173,6 @@ class Child:
         except ValueError:
             return  # the last one, torn by a kill
         self._on_report(found)
-
-
-class _Lines:
-    """Cuts bytes into lines, whatever they are."""
-
-    def __init__(self, on_line: Callable[[str], None], longest: float = math.inf) -> None:
-        self._on_line, self._longest = on_line, longest
-        self._rest = b""
-
-    def feed(self, data: bytes) -> None:
-        """Take the next bytes; none are the end."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        if not data or len(self._rest) > self._longest:
-            lines.append(self._rest)
-            self._rest = b""
-        for line in lines:
-            if line:
-                self._on_line(line.decode(errors="replace").rstrip("\r"))
 
 
 class Watch:
@@ -272,7 +259,9 @@ def ask_child(
 def death_of(env_id: str, code: int, doing: Doing | None) -> str:
     """Say how a child ended that told nothing."""
     how = f"exit code {code}"
-    if code < 0:
+    if code == UNHEARD:
+        how = "closing file descriptors that are not its own"
+    elif code < 0:
         names = {int(s): s.name for s in signal.Signals}
         how = f"signal {names.get(-code, -code)}"
         how += " (from outside, or for want of memory)" if code == -signal.SIGKILL else ""

@@ -3,8 +3,6 @@
 A learner plays nothing: whatever an environment holds, changes or starts is gone with the process.
 """
 
-import logging
-import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -78,7 +76,6 @@ def offset_of(obs: "np.typing.NDArray[np.float64]") -> Array | None:
 
 
 def _describe(parent: Parent) -> None:
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     seed_globals(_SEED)
     environment = Environment(EnvConfig.from_json(parent.task["env"]), activity=parent.activity)
     offset = offset_of(environment.first_obs(_SEED))

@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -206,7 +205,6 @@ class _Episodes:
 
 
 def _evaluate(parent: Parent) -> None:
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     task: dict[str, Any] = parent.task
     policy = read_policy(Path(task["policy"]), task["mode"])
     config = EnvConfig.from_json(task["env"])

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 import os
 import signal
 import sys
@@ -10,11 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 from a2s.actors.activity import Activity
-from a2s.actors.children import Report, told
+from a2s.actors.children import UNHEARD, Report, told
 from a2s.actors.families import FAMILY, end_family, inherit_orphans
-from a2s.protocol.errors import A2SError, FaultyEnvironmentError
-
-_GRACE_S = 15.0
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError, said_by
 
 
 class Parent:
@@ -25,6 +24,7 @@ class Parent:
 
     Attributes:
         task: What the parent told.
+        stderr: Where this process says what it has to say.
         activity: The page on which calls into environments are noted.
         stopped: Set when the parent lets this process stop, or has died.
     """
@@ -35,6 +35,10 @@ class Parent:
             os.set_inheritable(fd, False)
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(line_buffering=True, errors="replace")  # type: ignore[union-attr]
+        # An environment may close or replace the streams: ours is one more of the same place.
+        self.stderr = os.fdopen(os.dup(2), "w", buffering=1, errors="replace")
+        logging.basicConfig(level=logging.INFO, stream=self.stderr, format="%(message)s")
+        logging.raiseExceptions = False
         sys.path.append(os.getcwd())
         self.activity = Activity(page)
         self.stopped = threading.Event()
@@ -52,8 +56,10 @@ class Parent:
             try:
                 while data:
                     data = data[os.write(self._report, data) :]
-            except OSError:  # nobody reads, or the environment has closed what is not its own
+            except BrokenPipeError:  # nobody reads
                 self.stopped.set()
+            except OSError:  # the environment has closed it
+                self.leave(UNHEARD)
 
     def leave(self, code: int) -> None:
         """End this process at once, and its family if the parent is no more to do it."""
@@ -69,9 +75,6 @@ class Parent:
         while read(1):
             pass
         self.stopped.set()
-        # A call into an environment may never return.
-        threading.Event().wait(_GRACE_S)
-        self.leave(1)
 
 
 def answer(work: Callable[[Parent], None]) -> None:
@@ -82,7 +85,7 @@ def answer(work: Callable[[Parent], None]) -> None:
     except A2SError as error:
         parent.report({"error": told(error)})
     except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
-        fault = FaultyEnvironmentError(f"{type(error).__name__}: {error}")
+        fault = FaultyEnvironmentError(said_by(error))
         parent.report({"error": told(fault)})
     parent.leave(0)
 

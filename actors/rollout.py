@@ -1,7 +1,7 @@
 """Acting: several environments, one batched call for all of them, segments out."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
+from time import perf_counter
 
 import numpy as np
 
@@ -117,15 +117,15 @@ class Rollout:
         for slot in self._slots:
             slot.begin_quota()
         while playing and not interrupted():
-            obs = np.stack([self._slots[i].obs for i in playing])
+            obs = np.array([self._slots[i].obs for i in playing])
             if not is_usable(obs):
                 yield from self._drop_unusable(playing, notice)
                 continue
             choice = self._choose(suggester, obs)
-            begin = time.perf_counter()
+            begin = perf_counter()
             for row, index in enumerate(playing):
                 yield from self._step(index, choice, row, notice)
-            spent = time.perf_counter() - begin
+            spent = perf_counter() - begin
             self._tally.count("env_steps", len(playing))
             self._tally.observe("env_step_seconds", spent / len(playing))
             met = [i for i in playing if self._quota_is_met(self._slots[i], notice)]
@@ -145,9 +145,9 @@ class Rollout:
             yield from self._cut(index, notice, terminated=False, truncated=False)
 
     def _choose(self, suggester: Suggester, obs: Array) -> Choice:
-        begin = time.perf_counter()
+        begin = perf_counter()
         choice = suggester(obs, self._rng)
-        self._tally.observe("select_seconds", time.perf_counter() - begin)
+        self._tally.observe("select_seconds", perf_counter() - begin)
         self._tally.gauge("suggestion_q_spread", float(choice.q_spread.mean()))
         return choice
 
@@ -250,8 +250,8 @@ class Rollout:
                 epoch=notice.epoch,
                 weights_version=notice.version,
                 env=index,
-                obs=np.stack(obs),
-                suggestion=np.stack(suggestion),
+                obs=np.array(obs),
+                suggestion=np.array(suggestion),
                 log_prob=np.array(log_prob, dtype=np.float32),
                 reward=np.array(reward, dtype=np.float32),
                 final_obs=slot.obs,

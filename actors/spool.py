@@ -2,9 +2,9 @@
 
 import random
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
+from time import perf_counter
 from typing import NamedTuple
 
 from a2s.actors.metrics import Tally
@@ -154,7 +154,7 @@ class Spool:
         """Send until answered, or until the spool is closed; once only when it is to be emptied."""
         back_off_s, longest_s = _BACK_OFF_S
         while not self._closing:
-            begin = time.perf_counter()
+            begin = perf_counter()
             self._tally.count("messages_sent")
             self._tally.count("sent_bytes", len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
@@ -162,7 +162,7 @@ class Spool:
             if ack is not None and ack.verdict == "unknown":
                 self._on_unknown()
             elif ack is not None:
-                self._tally.observe("send_seconds", time.perf_counter() - begin)
+                self._tally.observe("send_seconds", perf_counter() - begin)
                 self._tally.count("acks", result=ack.verdict)
                 return ack
             if self._draining:

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import sys
 import threading
 import time
@@ -21,6 +22,7 @@ _DEATHS_WITHOUT_WORK = 5
 _STOP_S = 12.0
 _FAILED_S = 2.0
 _POLL_S = 0.1
+_MOST_SILENT_S = 60.0  # of a worker that reports once a second and is in no call
 
 
 @dataclass(slots=True)
@@ -35,6 +37,7 @@ class _Worker:
     accepted: float = 0.0
     error: str = ""
     is_hopeless: bool = False
+    silent_s: float = 0.0  # counted by looks, so that nobody is late when all were suspended
 
 
 class Supervisor:
@@ -76,7 +79,11 @@ class Supervisor:
                 self._start(index, worker)
             return
         doing = child.doing()
+        worker.silent_s += _POLL_S
         cause = worker.watch.overdue(doing)
+        if doing is None and worker.silent_s > _MOST_SILENT_S:
+            name = worker.watch.env_id
+            cause = f"environment {name}: its process had told nothing for {_MOST_SILENT_S:g} s"
         code = child.kill() if cause else child.ended()
         if code is None:
             return
@@ -103,6 +110,7 @@ class Supervisor:
 
     def _start(self, index: int, worker: _Worker) -> None:
         worker.accepted, worker.error, worker.is_hopeless = 0.0, "", False
+        worker.silent_s = -math.inf  # until it reports for the first time
         worker.child = Child(
             "a2s.actors.worker",
             worker.task.to_map(),
@@ -111,6 +119,7 @@ class Supervisor:
         )
 
     def _take(self, index: int, worker: _Worker, report: Report) -> None:
+        worker.silent_s = 0.0
         if "counts" in report:
             self._fleet.update(index, report["counts"])
             worker.accepted = report["counts"]["counters"]["acks"].get("accepted", 0.0)

@@ -1,6 +1,5 @@
 """The process of one actor, started by the supervisor: ``python -m a2s.actors.worker``."""
 
-import logging
 import signal
 import sys
 import traceback
@@ -14,7 +13,7 @@ from a2s.actors.children import told
 from a2s.actors.metrics import Tally
 from a2s.actors.parent import Parent
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError, said_by
 from a2s.protocol.zenoh_bus import ZenohBus
 
 
@@ -49,7 +48,6 @@ def main() -> None:
     """Run one actor until the supervisor lets it stop; then end this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor hears Ctrl-C and stops us
     parent = Parent(sys.argv[1:])
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
     task, tally = Task(**parent.task), Tally()
 
     def report() -> None:
@@ -84,8 +82,8 @@ def main() -> None:
     except BaseException as error:  # noqa: BLE001  # whatever it is, this process has to end
         code = 0 if parent.stopped.is_set() else 1
         if not isinstance(error, A2SError):
-            traceback.print_exc()  # a fault of ours: all of it is of use
-            error = FaultyEnvironmentError(f"{type(error).__name__}: {error}")
+            traceback.print_exc(file=parent.stderr)  # a fault of ours: all of it is of use
+            error = FaultyEnvironmentError(said_by(error))
         on_failure(error)  # once more, if the actor has told it; it is the same
     report()
     parent.leave(code)

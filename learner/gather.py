@@ -15,7 +15,7 @@ from a2s.learner.metrics import LearnerMetrics
 from a2s.learner.newcomers import Newcomers
 from a2s.learner.roster import Member, Roster
 from a2s.learner.terms import Terms
-from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.errors import RunDirectoryError, one_line
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,
@@ -33,7 +33,6 @@ _WAIT_S = 0.5
 _SILENT_S = 30.0
 _PATIENCE = 10
 _MOST_REMEMBERED = 4096
-_WORDS = 500  # of what an actor tells in its own
 
 
 class Gather:
@@ -91,7 +90,7 @@ class Gather:
                 return self.refuse("hello", "environment", difference)
             with self._changed:
                 is_new = self._roster.find(hello.actor) is None
-                member, seed = self._roster.join(hello.actor, hello.num_envs, time.monotonic())
+                member, seed = self._roster.join(hello, time.monotonic())
                 slot = member.slot
                 if is_new:
                     self._newcomers.forget(hello.actor)
@@ -99,7 +98,7 @@ class Gather:
                     self._metrics.joins.inc()
                     self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
                     if hello.cause:
-                        reason = _line(hello.cause)
+                        reason = one_line(hello.cause)
                         self._on_event("restart", actor=hello.actor, slot=slot, reason=reason)
                         logger.warning("actor %s was replaced: %s", hello.actor, reason)
                 self._changed.notify_all()
@@ -159,7 +158,7 @@ class Gather:
         """Remember an actor's own account."""
         with self._changed:
             now_s = time.monotonic()
-            status = replace(status, doing=_line(status.doing), trouble=_line(status.trouble))
+            status = replace(status, doing=one_line(status.doing), trouble=one_line(status.trouble))
             member = self._roster.find(status.actor)
             if member is None:
                 if status.leaving:
@@ -361,11 +360,6 @@ class Gather:
             self._metrics.leaves.labels(reason=reason).inc()
             self._on_event("leave", actor=actor, slot=member.slot, reason=reason)
             self._changed.notify_all()
-
-
-def _line(words: str) -> str:
-    """Make one short line of what a peer says: it goes to logs and terminals."""
-    return "".join(c if c.isprintable() else " " for c in words[:_WORDS])
 
 
 def _doing(members: list[Member]) -> str:

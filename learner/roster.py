@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from a2s.protocol.messages import ActorStatus, Notice, Segment
+from a2s.protocol.messages import ActorStatus, Hello, Notice, Segment
 
 _AWAY = 256
 
@@ -102,8 +102,10 @@ class Roster:
         """Look a member up."""
         return self._members.get(actor)
 
-    def join(self, actor: str, num_envs: int, now_s: float) -> tuple[Member, int]:
-        """Give an actor the lowest free place; one that has a place keeps it.
+    def join(self, hello: Hello, now_s: float) -> tuple[Member, int]:
+        """Give an actor the place that it asks for, or else the lowest free one.
+
+        One that has a place keeps it.
 
         One that comes back, because its connection was broken for a while, goes on with what it
         has delivered.
@@ -112,10 +114,13 @@ class Roster:
             The member, and the seed of its environments and noise: the same for the same seed of
             the run, generation, place, and number of those who had the place before.
         """
+        actor, num_envs = hello.actor, hello.num_envs
         member = self._members.get(actor)
         if member is None:
             taken = {m.slot for m in self._members.values()}
             slot = next(i for i in range(len(taken) + 1) if i not in taken)
+            if hello.slot >= 0 and hello.slot not in taken:
+                slot = hello.slot
             member = self._away.pop(actor, None)
             if member is None or member.num_envs != num_envs:
                 member = Member(actor=actor, slot=slot, num_envs=num_envs, heard_s=now_s)

@@ -16,6 +16,8 @@
 import difflib
 from collections.abc import Iterable
 
+_MOST = 500
+
 
 class A2SError(Exception):
     """Root of the tree: expected failures that a user can read and act on."""
@@ -60,6 +62,22 @@ class SchemaMismatchError(MalformedMessageError):
 
 class RunDirectoryError(A2SError):
     """A run directory or a checkpoint is missing, damaged or of another kind."""
+
+
+def one_line(words: str) -> str:
+    """Make one short line of what somebody else says: it goes to logs, terminals and messages."""
+    kept = "".join(c if c.isprintable() else " " for c in words[:_MOST])
+    return " ".join(kept.split())
+
+
+def said_by(error: BaseException) -> str:
+    """Give an exception that anybody may have raised as one line."""
+    name = type(error).__name__
+    try:
+        said = one_line(str(error))
+    except Exception:  # noqa: BLE001  # a user's own __str__ may raise anything
+        return one_line(name)
+    return one_line(f"{name}: {said}") if said else one_line(name)
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -24,6 +24,7 @@ Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
 # Finite numbers whose sums and squares are not finite end the learning as well.
 MOST_PLAYED = 1e10  # as in MuJoCo, which resets a simulation beyond it
 MOST_SUGGESTED = 1e6
+_MOST_SLOTS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,6 +38,7 @@ class Hello:
         spaces: Their spaces; ``None`` while it only asks.
         cause: Why the process that had its place before had to be replaced; empty if none had, and
             when it joins again.
+        slot: The place that it would like, so that runs repeat whoever joins first; -1: any.
     """
 
     actor: str
@@ -44,6 +46,7 @@ class Hello:
     env_id: str
     spaces: Spaces | None
     cause: str = ""
+    slot: int = -1
 
     def __post_init__(self) -> None:
         """Check the name and that a joining actor says everything."""
@@ -54,6 +57,7 @@ class Hello:
         )
         low, high = (1, 4096) if joins else (0, 0)
         require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
+        require(-1 <= self.slot < _MOST_SLOTS, "hello: slot", self.slot, f"-1..{_MOST_SLOTS - 1}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

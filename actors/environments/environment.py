@@ -1,7 +1,6 @@
 """One environment that speaks float32, whatever the user's own one speaks."""
 
 import logging
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +9,8 @@ import numpy.typing as npt
 
 from a2s.actors.activity import CLOSE, MAKE, RESET, STEP, Activity
 from a2s.actors.environments.faults import Faults, brief, wrong_reset
-from a2s.actors.environments.making import as_usage, flatten, limit_of, make
+from a2s.actors.environments.making import as_usage, limit_of, make
+from a2s.actors.environments.observations import Observations
 from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
@@ -18,11 +18,6 @@ from a2s.protocol.fields import Array
 from a2s.protocol.messages import MOST_METRICS, EpisodeMetric
 
 logger = logging.getLogger(__name__)
-
-# Whoever uses the numbers says what is too large for float32, and in which environment.
-warnings.filterwarnings("ignore", "overflow encountered in cast", RuntimeWarning)
-
-_FLOAT32 = np.dtype(np.float32)
 
 
 class Environment:
@@ -67,10 +62,9 @@ class Environment:
         self._info: Mapping[str, Any] = {}
         self._activity.begin(MAKE, index)
         try:
-            env, self._takes_seed = make(config, worker, index)
-            self.layout: Layout = read_layout(config.env_id, env.observation_space)
-            self._env = flatten(env, config)
-            self.spaces = read_spaces(config.env_id, self._env)
+            self._env, self._takes_seed = make(config, worker, index)
+            self.layout: Layout = read_layout(config.env_id, self._env.observation_space)
+            self.spaces = read_spaces(config.env_id, self._env, config.frame_stack)
         except BaseException as error:  # whatever a user's code raises
             raise as_usage(config, error) or self._faults.of_make(error) from error
         self._activity.end()
@@ -85,11 +79,13 @@ class Environment:
         self._action_dtype, self._action_shape = space.dtype, space.shape
         self._rounds = not np.issubdtype(space.dtype, np.floating)
         self._is_plain = not self._rounds and len(space.shape) == 1
-        self._shape = (self.spaces.obs_size,)
+        self._repeats = config.action_repeat
+        size = self.spaces.obs_size // config.frame_stack
+        self._observations = Observations(self._faults, self._env, size, config.frame_stack, offset)
         # Looked up once: a step calls these.
-        self._step = self._env.step
+        self._obs = self._observations.read
+        self._step = self._env.step if self._repeats == 1 else self._repeated
         self._begin, self._end = self._activity.begin, self._activity.end
-        self._offset = None if offset is None else offset.astype(np.float64)
         if not self._takes_seed and index == 0:
             logger.warning(
                 "environment %s: its reset takes no seed; random and np.random are seeded instead",
@@ -118,7 +114,7 @@ class Environment:
         """
         obs = self._reset(seed)
         self._obs("reset", obs)
-        return np.array(obs, dtype=np.float64).reshape(self._shape)
+        return self._observations.exact(obs)
 
     def _reset(self, seed: int | None) -> Any:
         self._activity.begin(RESET, self._index)
@@ -151,6 +147,8 @@ class Environment:
         self._begin(STEP, self._index)
         try:
             obs, reward, terminated, truncated, self._info = self._step(own)
+        except FaultyEnvironmentError:
+            raise
         except BaseException as error:  # whatever a user's code raises
             raise self._faults.of_call(
                 "step", self._env, error, lambda env: env.step(own)
@@ -199,29 +197,16 @@ class Environment:
             action = np.rint(action)
         return action.astype(self._action_dtype).reshape(self._action_shape)
 
-    def _obs(self, call: str, obs: Any) -> Array:
-        try:
-            if self._offset is not None:
-                obs = np.asarray(obs, dtype=np.float64).reshape(self._shape) - self._offset
-            found: Array = np.array(obs, _FLOAT32)
-        except Exception:  # noqa: BLE001  # a user's object may raise anything
-            raise self._misfit(call, obs) from None
-        if found.shape == self._shape:
-            return found
-        if obs is None or found.size != self.spaces.obs_size:
-            raise self._misfit(call, obs)
-        return found.reshape(self._shape)
-
-    def _misfit(self, call: str, obs: Any) -> FaultyEnvironmentError:
-        try:
-            if obs is None:
-                raise TypeError
-            what = f"of {np.asarray(obs, dtype=np.float64).size} numbers"
-        except Exception:  # noqa: BLE001  # a user's object may raise anything
-            what = f"{brief(obs)}"
-        return self._faults.returned(
-            self._env, call, f"an observation {what}, expected {self.spaces.obs_size}"
-        )
+    def _repeated(self, own: Any) -> tuple[Any, float, bool, bool, Any]:
+        """Make steps with one action, until the episode ends; the rewards are added up."""
+        total = 0.0
+        for _ in range(self._repeats):
+            obs, reward, terminated, truncated, info = self._env.step(own.copy())
+            total += self._number(reward)
+            ends = self._truth("terminated", terminated), self._truth("truncated", truncated)
+            if any(ends):
+                break
+        return obs, total, *ends, info
 
     def _number(self, reward: Any) -> float:
         try:

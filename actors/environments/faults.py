@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
-from a2s.protocol.errors import FaultyEnvironmentError
+from a2s.protocol.errors import FaultyEnvironmentError, said_by
 
 _OURS = str(Path(__file__).resolve().parents[1])
 _GYMNASIUM = str(Path(gymnasium.__file__).parent)
@@ -36,9 +36,9 @@ class Faults:
 
     def raised(self, call: str, error: BaseException, place: str = "") -> FaultyEnvironmentError:
         """It raised something."""
-        said = " ".join(str(error).split())
-        words = f"{type(error).__name__}: {said}" if said else type(error).__name__
-        return self._fault(f"{call} raised {words}", place or place_of(error), by_mistake=False)
+        return self._fault(
+            f"{call} raised {said_by(error)}", place or place_of(error), by_mistake=False
+        )
 
     def of_make(self, error: BaseException, made: Any = None) -> FaultyEnvironmentError:
         """Its constructor, ``made`` if it is known, failed, or what it has made is none."""
@@ -87,6 +87,20 @@ class Faults:
     def returned(self, env: Env, call: str, what: str) -> FaultyEnvironmentError:
         """It returned what none may."""
         return self._fault(f"{call} returned {what}", place_of_return(layer_with(env, call), call))
+
+    def misfit(self, env: Env, call: str, obs: Any, size: int) -> FaultyEnvironmentError:
+        """It gave an observation that is not made of ``size`` numbers."""
+        layer = layer_with(env, call)
+        wrong = _wrong_obs(call, obs, layer)
+        if not wrong:
+            try:
+                if obs is None:
+                    raise TypeError
+                what = f"of {np.asarray(obs, dtype=np.float64).size} numbers"
+            except Exception:  # noqa: BLE001  # a user's object may raise anything
+                what = brief(obs)
+            wrong = f"{call} returned an observation {what}, expected {size}"
+        return self._fault(wrong, place_of_return(layer, call))
 
     def _constructor(self) -> Any:
         spec = gymnasium.registry.get(self._env_id.rpartition(":")[2])
@@ -219,5 +233,5 @@ def _shown(file: str) -> str:
     path = Path(file)
     try:
         return str(path.resolve().relative_to(Path.cwd()))
-    except ValueError:
-        return str(path)
+    except (ValueError, OSError):  # not below it, or it is gone
+        return file

@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, SupportsFloat
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -17,7 +17,6 @@ import numpy as np
 from gymnasium.envs import registration
 
 from a2s.actors.environments.faults import Env, Faults
-from a2s.actors.environments.spaces import is_flat
 from a2s.protocol.env_config import EnvConfig, wrapper_of
 from a2s.protocol.errors import A2SError, UsageError
 
@@ -25,24 +24,6 @@ _SHOWN = 8
 
 # Otherwise MuJoCo prints and leaves a MUJOCO_LOG.TXT behind, also for outdated models.
 mujoco.set_mju_user_warning(lambda _words: None)
-
-
-class ActionRepeat(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Makes ``times`` steps with each action, or fewer where the episode ends; adds up rewards."""
-
-    def __init__(self, env: Env, times: int) -> None:
-        super().__init__(env)
-        self._times = times
-
-    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Make the steps."""
-        total = 0.0
-        for _ in range(self._times):
-            obs, reward, terminated, truncated, info = self.env.step(action)
-            total = total + reward  # type: ignore[operator]  # a user's may be an array of one
-            if terminated or truncated:
-                break
-        return obs, total, terminated, truncated, info
 
 
 def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
@@ -65,18 +46,7 @@ def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
     for setting in config.wrappers:
         module, name, arguments = wrapper_of(setting)
         env = _wrapped(config, env, _named(module, name), arguments)
-    if config.action_repeat > 1:
-        env = ActionRepeat(env, config.action_repeat)
     return env, _mend_resets(env)
-
-
-def flatten(env: Env, config: EnvConfig) -> Env:
-    """Make observations arrays of a Box, of which the latest ``frame_stack`` are given at once."""
-    if config.frame_stack > 1 or not is_flat(env.observation_space):
-        env = gymnasium.wrappers.FlattenObservation(env)
-    if config.frame_stack > 1:
-        env = gymnasium.wrappers.FrameStackObservation(env, config.frame_stack)
-    return env
 
 
 def seed_globals(seed: int) -> None:

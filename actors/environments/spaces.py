@@ -20,19 +20,14 @@ Layout = list[tuple[str, int]]
 Env = gymnasium.Env[Any, Any]
 
 
-def is_flat(space: "spaces.Space[Any]") -> bool:
-    """Whether observations need only be reshaped: a Box of any shape."""
-    return isinstance(space, spaces.Box)
-
-
-def read_spaces(env_id: str, env: Env) -> Spaces:
-    """Read the spaces of an environment whose observations are flattened where they can be.
+def read_spaces(env_id: str, env: Env, frame_stack: int) -> Spaces:
+    """Read the spaces of an environment whose layout could be read, with frames stacked.
 
     Raises:
         UsageError: They are not supported; the line names what would be.
     """
     low, high = _bounds(env_id, env)
-    size = flatdim(env.observation_space)
+    size = flatdim(env.observation_space) * frame_stack
     if size > _MOST_OBS:
         raise UsageError(
             f"environment {env_id}: found {size:,} numbers in an observation, expected at most "

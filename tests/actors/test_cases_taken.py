@@ -10,6 +10,7 @@ from case_plays import action, are_the_same, play
 
 from a2s.actors.environments.environment import Environment
 from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import FaultyEnvironmentError
 
 MakeGraph = Callable[..., bytes]
 CONTROL = "a2s_case_envs:Control-v0"
@@ -111,6 +112,25 @@ def test_wrappers_repeats_and_stacks_lie_round_an_environment_in_this_order() ->
     assert np.allclose(times, np.array([[0, 0, 4], [0, 4, 8], [4, 8, 10]]) / 100 + 8.0)
     assert [reward for _, reward, *_ in steps] == [-100.0, -100.0, -50.0]
     assert [truncated for *_, truncated in steps] == [False, False, True]
+
+
+@pytest.mark.parametrize("name", ["Inexact", "InexactDict"])
+def test_a_dtype_of_integers_rounds_no_fractions_and_rewards_of_any_kind_are_added(
+    name: str,
+) -> None:
+    config = EnvConfig(env_id=f"a2s_case_numbers:{name}-v0", action_repeat=3, frame_stack=2)
+    environment = Environment(config)
+    environment.reset(seed=1)
+    obs, reward, *_ = environment.step(action(0.25))
+    assert np.allclose(obs, [0, 0, 1, 0.03, 0.25, np.cos(0.3)])
+    assert reward == -0.75
+
+
+def test_an_observation_of_another_size_is_no_stack_of_smaller_ones() -> None:
+    environment = Environment(EnvConfig(env_id="a2s_case_mistakes:Twice-v0", frame_stack=2))
+    environment.reset(seed=1)
+    with pytest.raises(FaultyEnvironmentError, match="of 6 numbers, expected 3"):
+        environment.step(action(0.5))
 
 
 def test_a_quota_of_whole_episodes_is_met_though_they_never_end(

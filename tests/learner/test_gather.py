@@ -56,8 +56,8 @@ class _Run:
             raise RunDirectoryError("replay: no space left on device")
         self.kept.append(segment)
 
-    def join(self, actor: str, num_envs: int = 1) -> Welcome:
-        hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES)
+    def join(self, actor: str, num_envs: int = 1, slot: int = -1) -> Welcome:
+        hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES, slot=slot)
         welcome = self.gather.hello(hello)
         assert isinstance(welcome, Welcome)
         return welcome
@@ -119,6 +119,16 @@ def test_every_segment_is_judged_with_a_reason(
     ack = run.gather.segment(_segment(**fields))
     assert (ack.verdict, ack.reason, ack.generation) == (verdict, reason, 2)
     assert run.complete() is (fields == {})
+
+
+def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_not_matter(
+    run: _Run,
+) -> None:
+    first = {actor: run.join(actor, slot=slot) for actor, slot in (("b", 1), ("a", 0), ("c", 2))}
+    assert {actor: welcome.slot for actor, welcome in first.items()} == {"a": 0, "b": 1, "c": 2}
+    assert run.join("d", slot=1).slot == 3  # it is taken: the lowest free one
+    assert run.join("e", slot=9).slot == 9
+    assert run.join("f").slot == 4
 
 
 def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:

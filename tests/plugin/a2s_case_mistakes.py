@@ -131,6 +131,10 @@ STEPS: dict[str, tuple[Change, str]] = {
         lambda s: (np.append(s[0], np.float32(0)), *s[1:]),
         r"step returned an observation of 4 numbers, expected 3",
     ),
+    "Twice": (
+        lambda s: (np.append(s[0], s[0]), *s[1:]),
+        r"step returned an observation of 6 numbers, expected 3",
+    ),
     "Shorter": (
         lambda s: (s[0][:2], *s[1:]), r"step returned an observation of 2 numbers, expected 3",
     ),

@@ -91,6 +91,25 @@ class Composite(Control):
         }
 
 
+class Inexact(Control):
+    """Says integers, in a Dict or alone, and gives fractions; rewards are arrays of one."""
+
+    def __init__(self, nested: bool) -> None:
+        super().__init__(dtype="float64")
+        self._nested = nested
+        box = spaces.Box(-1000, 1000, (3,), np.int64)
+        self.observation_space = spaces.Dict({"only": box}) if nested else box
+
+    def obs(self) -> Any:
+        """Fractions."""
+        return {"only": super().obs()} if self._nested else super().obs()
+
+    def step(self, action: Obs) -> Any:
+        """An array as the reward."""
+        obs, reward, *rest = super().step(action)
+        return obs, np.array([reward]), *rest
+
+
 class Broken(Control):
     """One number in ``every`` steps is ``value``.
 
@@ -277,6 +296,8 @@ register("Integers", Strict, low=-1, high=1, dtype="int32")
 register("IntegersUnsigned", Strict, low=0, high=3, dtype="uint8")
 register("Matrix", Matrix)
 register("Composite", Composite)
+register("Inexact", Inexact, nested=False)
+register("InexactDict", Inexact, nested=True)
 for _name, _broken in BROKEN.items():
     register(_name, Broken, **_broken)
 register("BrokenAlways", Broken, every=1)

@@ -9,10 +9,13 @@ import multiprocessing
 import os
 import subprocess
 import sys
+import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from a2s_case_envs import Control, Obs, Step, register
 
 AGES_S = 600.0  # longer than any test waits
@@ -228,3 +231,64 @@ register("HangsAlways", HangsAlways)
 register("Places", Places)
 register("CloseRaises", HangsAlways, where="raise in close")
 register("CloseExits", HangsAlways, where="exit in close")
+
+
+class Spoils(Control):
+    """Changes what belongs to the whole process in its tenth step, goes on, and says why it ends.
+
+    Args:
+        how: Of `SPOILED`.
+    """
+
+    def __init__(self, how: str) -> None:
+        super().__init__(scale=1e-60, dtype="float64")  # float32 has no such numbers
+        self._how, self._steps = how, 0
+
+    def step(self, action: Obs) -> Step:
+        """Spoil it, or end."""
+        self._steps += 1
+        if self._steps == 10:
+            SPOILED[self._how]()
+        if self._steps == 20:
+            raise RuntimeError("here is why \udc80\x1b[31m" + 1000 * "!")
+        return super().step(action)
+
+
+def _close_the_streams() -> None:
+    sys.stdout.close()
+    sys.stderr.close()
+
+
+def _leave_the_directory() -> None:
+    place = tempfile.mkdtemp()
+    os.chdir(place)
+    os.rmdir(place)
+
+
+def _stop_the_clock() -> None:
+    vars(time).update(monotonic=lambda: "late", perf_counter=lambda: "later")
+
+
+SPOILED: dict[str, Callable[[], object]] = {
+    "closes the streams": _close_the_streams,
+    "has no streams": lambda: vars(sys).update(stdout=None, stderr=None),
+    "closes descriptors 1 and 2": lambda: os.closerange(1, 3),
+    "makes errors of numbers": lambda: np.seterr(all="raise"),
+    "makes errors of warnings": lambda: warnings.simplefilter("error"),
+    "leaves the directory": _leave_the_directory,
+    "stops the clock": _stop_the_clock,
+    "closes all descriptors": lambda: os.closerange(3, 1000),
+}
+
+
+class Flood(Control):
+    """Prints a thousand lines in each step."""
+
+    def step(self, action: Obs) -> Step:
+        """Print."""
+        print("a flood\n" * 1000)  # noqa: T201
+        return super().step(action)
+
+
+register("Spoils", Spoils)
+register("Flood", Flood)

@@ -178,13 +178,14 @@ MORE_REPLAY_INFO_FIELDS = b"\xa8capacity\x09\xa5begin\x02\xa3end\x03"
 # Whole messages, as they were in the first release of this major version.
 GOLDEN: list[tuple[Message, bytes]] = [
     (
-        replace(HELLO, cause="c"),
-        b"\x87\xa3a2s\x02\xa4kind\xa5Hello" + HELLO_FIELDS + SPACES_BYTES + b"\xa5cause\xa1c",
+        replace(HELLO, cause="c", slot=1),
+        b"\x88\xa3a2s\x02\xa4kind\xa5Hello" + HELLO_FIELDS + SPACES_BYTES +
+        b"\xa5cause\xa1c\xa4slot\x01",
     ),
     (
         Hello(actor="h-1", num_envs=0, env_id="", spaces=None),
-        b"\x87\xa3a2s\x02\xa4kind\xa5Hello"
-        b"\xa5actor\xa3h-1\xa8num_envs\x00\xa6env_id\xa0\xa6spaces\xc0\xa5cause\xa0",
+        b"\x88\xa3a2s\x02\xa4kind\xa5Hello"
+        b"\xa5actor\xa3h-1\xa8num_envs\x00\xa6env_id\xa0\xa6spaces\xc0\xa5cause\xa0\xa4slot\xff",
     ),
     (
         replace(WELCOME, spaces=replace(SPACES, obs_offset=f32([0.5])), env=ENV),
@@ -371,6 +372,7 @@ joining = st.builds(
     env_id=texts.filter(bool),
     spaces=spaces(),
     cause=texts,
+    slot=st.integers(-1, 999_999),
 )
 environments = st.builds(
     EnvConfig,
@@ -579,7 +581,7 @@ def test_all_that_has_defaults_is_tried_without_them() -> None:
 def test_the_defaults_mean_what_was_so_before_there_was_the_field() -> None:
     """Who leaves one out has a meaning, and it never changes."""
     assert SPACES.obs_offset is None
-    assert (HELLO.cause, WELCOME.env, SEGMENT.metrics) == ("", None, ())
+    assert (HELLO.cause, HELLO.slot, WELCOME.env, SEGMENT.metrics) == ("", -1, None, ())
     assert (ACTOR_STATUS.doing, ACTOR_STATUS.dropped_steps, ACTOR_STATUS.trouble) == ("", 0, "")
     found = plain(EnvConfig(env_id="E"))
     assert found == plain(
@@ -841,6 +843,7 @@ def test_fields_of_nested_maps_are_checked_as_well() -> None:
         (ActorStatus, "doing", None),
         (ActorStatus, "dropped_steps", 1.0),
         (Hello, "cause", None),
+        (Hello, "slot", 0.0),
         (Welcome, "env", "Hopper-v5"),
         (Welcome, "env", []),
         (Segment, "metrics", None),

@@ -22,8 +22,8 @@ class Stop(threading.Event):
 
 def end_on_signals() -> None:
     """Have SIGINT and SIGTERM end this process with 130, also where a shell had one ignored."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda _number, _frame: os._exit(EXIT_INTERRUPTED))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 @contextmanager

@@ -1,0 +1,101 @@
+"""Observations as the run has them: a copy in flat float32, frames stacked, an offset taken off."""
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from a2s.actors.environments.faults import Faults
+from a2s.protocol.fields import Array
+
+_FLOAT32 = np.dtype(np.float32)
+_Float64s = npt.NDArray[np.float64]
+
+# Whoever uses the numbers says what is too large for float32, and in which environment.
+warnings.filterwarnings("ignore", "overflow encountered in cast", RuntimeWarning)
+
+
+class Observations:
+    """Reads what one environment gives, whatever its shape, dtype or kind of sequence.
+
+    Args:
+        faults: Makes the errors.
+        env: With all wrappers.
+        size: Numbers of one observation.
+        frame_stack: How many of the latest are given at once, the newest last.
+        offset: Taken off what is given, float32 ``[frame_stack * size]``.
+    """
+
+    def __init__(
+        self,
+        faults: Faults,
+        env: "gymnasium.Env[Any, Any]",
+        size: int,
+        frame_stack: int,
+        offset: Array | None,
+    ) -> None:
+        self._faults, self._env = faults, env
+        self._space = env.observation_space
+        self._size, self._shape = size, (size * frame_stack,)
+        self._stack = frame_stack
+        self._offset = 0.0 if offset is None else offset.astype(np.float64)
+        self._is_direct = frame_stack == 1 and offset is None and is_flat(self._space)
+        self._frames: list[_Float64s] = []
+
+    def read(self, call: str, obs: Any) -> Array:
+        """Copy what ``reset`` or ``step`` gave: float32 ``[frame_stack * size]``.
+
+        Raises:
+            FaultyEnvironmentError: It is not made of so many numbers.
+        """
+        try:
+            found = self._float32(call, obs)
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            found = self._quietly(call, obs)
+        if found.shape == self._shape:
+            return found
+        if obs is None or found.size != self._shape[0]:
+            raise self._faults.misfit(self._env, call, obs, self._size)
+        return found.reshape(self._shape)
+
+    def exact(self, obs: Any) -> _Float64s:
+        """Give what was read last, ``obs``, before it was float32."""
+        return np.concatenate(self._frames or [_numbers(self._space, obs)])
+
+    def _float32(self, call: str, obs: Any) -> Array:
+        if self._is_direct:
+            return obs.astype(_FLOAT32) if type(obs) is np.ndarray else np.array(obs, _FLOAT32)
+        frame = _numbers(self._space, obs)
+        if frame.size != self._size:
+            raise ValueError
+        frames = [frame] * self._stack if call == "reset" else [*self._frames[1:], frame]
+        result: Array = (np.concatenate(frames) - self._offset).astype(_FLOAT32)
+        self._frames = frames
+        return result
+
+    def _quietly(self, call: str, obs: Any) -> Array:
+        """Read it though the environment has made errors of warnings."""
+        try:
+            with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+                return self._float32(call, obs)
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            raise self._faults.misfit(self._env, call, obs, self._size) from None
+
+
+def is_flat(space: "spaces.Space[Any]") -> bool:
+    """Whether observations need only be reshaped: a Box of any shape."""
+    return isinstance(space, spaces.Box)
+
+
+def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:
+    """Flatten a value in the order of its space; a Box's dtype does not round it."""
+    if isinstance(space, spaces.Dict):
+        return np.concatenate([_numbers(part, value[key]) for key, part in space.items()])
+    if isinstance(space, spaces.Tuple):
+        parts = zip(space.spaces, value, strict=True)
+        return np.concatenate([_numbers(part, x) for part, x in parts])
+    flat = value if isinstance(space, spaces.Box) else spaces.flatten(space, value)
+    return np.array(flat, dtype=np.float64).reshape(-1)

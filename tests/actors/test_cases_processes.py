@@ -1,0 +1,69 @@
+"""What an environment does to its process: the cause of its end is told all the same."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from a2s_case_processes import SPOILED
+
+from a2s.actors.check import check
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import FaultyEnvironmentError
+
+pytestmark = [pytest.mark.timeout(120)]
+
+# A parent that starts a child, says its number, and waits to be killed.
+PARENT = """
+import sys, time
+from a2s.actors.children import Child
+from a2s.protocol.env_config import EnvConfig
+config = EnvConfig(env_id="a2s_case_processes:Hangs-v0", kwargs=sys.argv[1])
+child = Child("a2s.actors.check", {"env": config.to_json()}, lambda _: None, lambda _: None)
+while child.doing() is None or child.doing().call != "step" or child.doing().since_s < 1:
+    time.sleep(0.05)
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("how", SPOILED)
+def test_the_cause_is_told_whatever_was_spoiled_before(how: str) -> None:
+    config = EnvConfig(env_id="a2s_case_processes:Spoils-v0", kwargs=f'{{"how": "{how}"}}')
+    with pytest.raises(FaultyEnvironmentError) as error:
+        check(config, lambda _: None)
+    words = str(error.value)
+    if how == "closes all descriptors":
+        assert "its process ended by closing file descriptors that are not its own" in words
+        return
+    assert "step raised RuntimeError: here is why [31m!!!" in words
+    assert "a2s_case_processes.py:" in words
+    assert words.isprintable()
+    assert len(words) < 700
+
+
+def test_a_flood_of_words_is_cut_and_counted() -> None:
+    words: list[str] = []
+    found = check(EnvConfig(env_id="a2s_case_processes:Flood-v0"), words.append)
+    assert 1000 <= len(words) < 3000
+    *_, last = (w for w in words if w.startswith("... "))
+    hidden = int(last.split()[1].replace(",", ""))
+    assert last == f"... {hidden:,} lines more within 10 s are not shown"
+    assert hidden > 0.1 * 1000 * found["steps"]
+
+
+def test_a_child_that_holds_the_interpreter_ends_after_its_parent_was_killed(
+    tmp_path: Path,
+) -> None:
+    kwargs = f'{{"notes": "{tmp_path}", "plan": "step-holds-the-lock"}}'
+    command = [sys.executable, "-c", PARENT, kwargs]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as parent:
+        try:
+            assert parent.stdout is not None
+            child = int(parent.stdout.readline())
+            left = [psutil.Process(child), *psutil.Process(parent.pid).children(recursive=True)]
+        finally:
+            parent.kill()
+    _, alive = psutil.wait_procs(left, timeout=60)
+    assert alive == []
