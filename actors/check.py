@@ -1,5 +1,6 @@
 """A trial of an environment, in a process of its own: what it is, what it does, how fast it is."""
 
+import functools
 import re
 import warnings
 from collections.abc import Callable
@@ -9,13 +10,14 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
-from a2s.actors.activity import RESET, Activity
+from a2s.actors.activity import CLOSE, MAKE, RESET, STEP, Activity
 from a2s.actors.children import Report, Watch, ask_child
 from a2s.actors.environments.environment import Environment
 from a2s.actors.environments.making import make, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import is_usable
 from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import said_by
 
 _STEPS = 2000
 _SECONDS = 5.0
@@ -94,23 +96,37 @@ def _repeats(environment: Environment, action: Any) -> bool:
     )
 
 
+def _noted(activity: Activity, call: int, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Have a call into an environment on the page, so that each has its own time."""
+
+    @functools.wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        activity.begin(call, 0)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            activity.end()
+
+    return called
+
+
 def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
     """What Gymnasium's own checker says of it."""
-    activity.begin(RESET, 0)
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            env, _ = make(config, 0, 0)
+            env, _ = _noted(activity, MAKE, make)(config, 0, 0)
+            for name, call in (("reset", RESET), ("step", STEP), ("close", CLOSE)):
+                method = _noted(activity, call, getattr(env.unwrapped, name))
+                setattr(env.unwrapped, name, method)
             try:
                 check_env(env.unwrapped, skip_render_check=True)
                 found = []
             except BaseException as error:  # noqa: BLE001  # it asserts and raises all
-                found = [str(error) or type(error).__name__]
+                found = [said_by(error)]
             env.close()
     except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
-        return [f"a second one cannot be made: {error}"]
-    finally:
-        activity.end()
+        return [f"a second one cannot be made: {said_by(error)}"]
     theirs = [w for w in said if not issubclass(w.category, ResourceWarning)]
     lines = [_COLOURS.sub("", line) for line in (*found, *(str(w.message) for w in theirs))]
     return list(dict.fromkeys(" ".join(x.split()).removeprefix("WARN: ") for x in lines))

@@ -122,19 +122,21 @@ class Child:
             os.close(self._life)
             self._life = -1
 
-    def stop(self, timeout_s: float = _STOP_S) -> None:
-        """Let it stop; after ``timeout_s`` seconds end it."""
+    def stop(self, env_id: str, timeout_s: float = _STOP_S) -> None:
+        """Let it stop; after ``timeout_s`` seconds, and what one ``close`` may take, end it."""
         self.release()
         deadline_s = time.monotonic() + timeout_s
         pause = threading.Event()
-        while self.ended() is None and time.monotonic() < deadline_s:
-            pause.wait(0.02)
-        if self.ended() is None:
+        while self.ended() is None:
             doing = self.doing()
-            logger.warning(
-                "a process does not stop (%s) and is killed", doing or "in no call of environments"
-            )
-            self.kill()
+            if doing is not None and doing.call == "close" and doing.since_s < _SLOW_S:
+                deadline_s = max(deadline_s, time.monotonic() + 1.0)  # and then the next one
+            if time.monotonic() >= deadline_s:
+                what = doing or "in no call into it"
+                logger.warning("environment %s: %s; its process is killed", env_id, what)
+                self.kill()
+                return
+            pause.wait(0.02)
 
     def _bury(self) -> None:
         # Until it is waited for, no other process can have its number.
@@ -244,7 +246,7 @@ def ask_child(
             if not proceed():
                 return {}
         if not held_up:
-            child.stop(_CLOSE_S)
+            child.stop(watch.env_id, _CLOSE_S)
     finally:
         last, code = child.doing(), child.kill()
     if held_up:

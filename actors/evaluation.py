@@ -13,7 +13,7 @@ import numpy as np
 
 from a2s.actors.children import Watch, ask_child
 from a2s.actors.environments.environment import Environment, require_alike
-from a2s.actors.environments.making import seed_globals
+from a2s.actors.environments.making import MOST_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import ENDLESS_STEPS, is_usable
 from a2s.actors.suggester import Mode, Suggester
@@ -118,9 +118,8 @@ def play(
         UsageError: The environments do not fit the policy.
         FaultyEnvironmentError: One raised, or returned what none may.
     """
-    *env_seeds, noise_seed = np.random.SeedSequence([_EVALUATION, seed]).generate_state(
-        episodes + 1
-    )
+    drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
+    *env_seeds, noise_seed = drawn & MOST_SEED
     rng = np.random.default_rng(noise_seed)
     policy.check(environments[0].spaces, config.env_id)
     seed_globals(int(noise_seed))

@@ -14,9 +14,15 @@ _ROUNDS = 10
 _PR_SET_CHILD_SUBREAPER = 36
 
 
+_before: set[int] | None = None  # children that were here first, of a shell that became us
+
+
 def inherit_orphans() -> None:
     """Become the parent of every descendant whose own one ends."""
-    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    global _before  # of the process, as what it is about
+    if _before is None:
+        _before = {pid for pid in _processes() if _is_orphan(pid)}
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def end_family(family: str, *, living: set[int]) -> None:
@@ -30,8 +36,8 @@ def end_family(family: str, *, living: set[int]) -> None:
     """
     mark = f"{FAMILY}={family}".encode()
     for _ in range(_ROUNDS):
-        others = {int(name) for name in os.listdir("/proc") if name.isdigit()} - {os.getpid()}
-        members = [p for p in others - living if mark in _environment(p) or _is_orphan(p)]
+        others = _processes() - {os.getpid()} - living
+        members = [p for p in others if mark in _environment(p) or _is_inherited(p)]
         if not members:
             return
         for pid in members:
@@ -39,6 +45,15 @@ def end_family(family: str, *, living: set[int]) -> None:
                 os.kill(pid, signal.SIGKILL)
             with contextlib.suppress(ChildProcessError):
                 os.waitpid(pid, os.WNOHANG)
+
+
+def _processes() -> set[int]:
+    return {int(name) for name in os.listdir("/proc") if name.isdigit()}
+
+
+def _is_inherited(pid: int) -> bool:
+    """Whether it is an orphan of a child's; the first process of a machine has all orphans."""
+    return os.getpid() != 1 and pid not in (_before or ()) and _is_orphan(pid)
 
 
 def _is_orphan(pid: int) -> bool:

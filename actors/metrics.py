@@ -6,6 +6,7 @@ replaced. ``docs/metrics.md`` explains every name.
 """
 
 import bisect
+import contextlib
 import os
 import threading
 import time
@@ -196,8 +197,10 @@ def _nothing() -> Snapshot:
 
 
 def _resident_bytes() -> float:
-    with open("/proc/self/statm", "rb") as statm:
+    """Memory of this process; 0 while an environment has all file descriptors."""
+    with contextlib.suppress(OSError), open("/proc/self/statm", "rb") as statm:
         return float(int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    return 0.0
 
 
 def _gauge(name: str, help_text: str, values: Sequence[float | None]) -> GaugeMetricFamily:

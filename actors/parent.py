@@ -12,8 +12,10 @@ from typing import Any
 
 from a2s.actors.activity import Activity
 from a2s.actors.children import UNHEARD, Report, told
+from a2s.actors.environments.faults import Faults
 from a2s.actors.families import FAMILY, end_family, inherit_orphans
-from a2s.protocol.errors import A2SError, FaultyEnvironmentError, said_by
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import A2SError
 
 
 class Parent:
@@ -31,6 +33,7 @@ class Parent:
 
     def __init__(self, descriptors: list[str]) -> None:
         self._report, life, page = (int(text) for text in descriptors)
+        del sys.argv[1:]  # an environment may read it
         for fd in (self._report, life, page):
             os.set_inheritable(fd, False)
         for stream in (sys.stdout, sys.stderr):
@@ -85,8 +88,8 @@ def answer(work: Callable[[Parent], None]) -> None:
     except A2SError as error:
         parent.report({"error": told(error)})
     except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
-        fault = FaultyEnvironmentError(said_by(error))
-        parent.report({"error": told(fault)})
+        name = EnvConfig.from_json(parent.task["env"]).env_id
+        parent.report({"error": told(Faults(name).raised("its process", error))})
     parent.leave(0)
 
 

@@ -6,7 +6,7 @@ from time import perf_counter
 import numpy as np
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.environments.making import seed_globals
+from a2s.actors.environments.making import MOST_SEED, seed_globals
 from a2s.actors.metrics import Tally
 from a2s.actors.suggester import Choice, Suggester
 from a2s.actors.troubles import Troubles
@@ -73,7 +73,8 @@ class Rollout:
         tally: Tally,
         troubles: Troubles,
     ) -> None:
-        *env_seeds, noise_seed = np.random.SeedSequence(seed).generate_state(len(environments) + 1)
+        drawn = np.random.SeedSequence(seed).generate_state(len(environments) + 1)
+        *env_seeds, noise_seed = drawn & MOST_SEED
         seed_globals(int(noise_seed))
         self._actor = actor
         self._slots = [

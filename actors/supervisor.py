@@ -130,12 +130,12 @@ class Supervisor:
 
     def _stop(self, timeout_s: float) -> None:
         """End all workers: together, so that the slowest one sets the time."""
-        living = [w.child for w in self._workers if w.child is not None]
-        for child in living:
+        living = [(w.child, w.watch.env_id) for w in self._workers if w.child is not None]
+        for child, _ in living:
             child.release()
         deadline_s = time.monotonic() + timeout_s
-        for child in living:
-            child.stop(max(0.1, deadline_s - time.monotonic()))
+        for child, env_id in living:
+            child.stop(env_id, max(0.1, deadline_s - time.monotonic()))
         for index, worker in enumerate(self._workers):
             if worker.child is not None:
                 self._fleet.ended(index)

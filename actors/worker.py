@@ -10,10 +10,11 @@ from typing import Any
 
 from a2s.actors.actor import Actor
 from a2s.actors.children import told
+from a2s.actors.environments.faults import Faults
 from a2s.actors.metrics import Tally
 from a2s.actors.parent import Parent
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError, said_by
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
 from a2s.protocol.zenoh_bus import ZenohBus
 
 
@@ -53,7 +54,11 @@ def main() -> None:
     def report() -> None:
         parent.report({"counts": tally.snapshot()})
 
+    env_id = ""
+
     def on_environment(config: EnvConfig) -> None:
+        nonlocal env_id
+        env_id = config.env_id
         parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
 
     def on_failure(error: A2SError) -> None:
@@ -83,7 +88,7 @@ def main() -> None:
         code = 0 if parent.stopped.is_set() else 1
         if not isinstance(error, A2SError):
             traceback.print_exc(file=parent.stderr)  # a fault of ours: all of it is of use
-            error = FaultyEnvironmentError(said_by(error))
+            error = Faults(env_id).raised("its process", error)
         on_failure(error)  # once more, if the actor has told it; it is the same
     report()
     parent.leave(code)

@@ -13,7 +13,7 @@ from a2s.actors.environments.making import as_usage, limit_of, make
 from a2s.actors.environments.observations import Observations
 from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import FaultyEnvironmentError
+from a2s.protocol.errors import FaultyEnvironmentError, said_by
 from a2s.protocol.fields import Array
 from a2s.protocol.messages import MOST_METRICS, EpisodeMetric
 
@@ -211,17 +211,21 @@ class Environment:
     def _number(self, reward: Any) -> float:
         try:
             found = np.asarray(reward, dtype=np.float64)
-        except Exception:  # noqa: BLE001  # a user's object may raise anything
-            found = np.empty(0)
+            why = ""
+        except Exception as error:  # noqa: BLE001  # a user's object may raise anything
+            found, why = np.empty(0), f" ({said_by(error)})"
         if found.size != 1 or reward is None:
-            what = f"of shape {found.shape}" if found.size > 1 else f"of {brief(reward)}"
+            what = f"of shape {found.shape}" if found.size > 1 else f"of {brief(reward)}{why}"
             raise self._faults.returned(self._env, "step", f"a reward {what}, expected a number")
         return float(found.reshape(()))
 
     def _truth(self, name: str, value: Any) -> bool:
         if isinstance(value, np.bool_):
             return bool(value)
-        found = np.asarray(value)
+        try:
+            found = np.asarray(value)
+        except Exception:  # noqa: BLE001  # a user's object may raise anything
+            found = np.empty(0)
         if found.size != 1 or found.dtype.kind not in "biuf" or isinstance(value, float):
             raise self._faults.returned(
                 self._env, "step", f"{name} {brief(value)}, expected True or False; the order is "

@@ -2,6 +2,7 @@
 
 import dis
 import inspect
+import os
 import reprlib
 import sysconfig
 import traceback
@@ -19,6 +20,7 @@ _OURS = str(Path(__file__).resolve().parents[1])
 _GYMNASIUM = str(Path(gymnasium.__file__).parent)
 _STDLIB = sysconfig.get_paths()["stdlib"]
 _SITE = ("site-packages", "dist-packages")
+_GYMNASIUM_ADDS = " was raised from the environment creator"
 _STEP = "5 (obs, reward, terminated, truncated, info)"
 
 Env = gymnasium.Env[Any, Any]
@@ -33,9 +35,11 @@ class Faults:
 
     def __init__(self, env_id: str) -> None:
         self._env_id = env_id
+        self._pid = os.getpid()
 
     def raised(self, call: str, error: BaseException, place: str = "") -> FaultyEnvironmentError:
         """It raised something."""
+        self._end_copy(error)
         return self._fault(
             f"{call} raised {said_by(error)}", place or place_of(error), by_mistake=False
         )
@@ -43,8 +47,11 @@ class Faults:
     def of_make(self, error: BaseException, made: Any = None) -> FaultyEnvironmentError:
         """Its constructor, ``made`` if it is known, failed, or what it has made is none."""
         constructor = made or self._constructor()
-        if isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
-            words = " ".join(str(error).partition(" was raised from the environment")[0].split())
+        if isinstance(error.__context__, TypeError) and _GYMNASIUM_ADDS in str(error):
+            error = error.__context__
+        is_of_call = isinstance(error, TypeError) and not _is_of_users(error)
+        if is_of_call and "unexpected keyword argument" in str(error):
+            words = " ".join(str(error).split())
             taken = inspect.signature(constructor).parameters if constructor else ()
             what = f"make: {words}; it takes {', '.join(taken) or 'none'}"
             return self._fault(what, _place_of_init(constructor))
@@ -72,7 +79,7 @@ class Faults:
             error: What came of it.
             again: Makes the same call of one of the layers, to look at what that returns.
         """
-        if _is_of_users(error):
+        if _is_of_users(error) or os.getpid() != self._pid:
             return self.raised(call, error)
         layer = layer_with(env, call)
         place = place_of_return(layer, call)
@@ -88,8 +95,10 @@ class Faults:
         """It returned what none may."""
         return self._fault(f"{call} returned {what}", place_of_return(layer_with(env, call), call))
 
-    def misfit(self, env: Env, call: str, obs: Any, size: int) -> FaultyEnvironmentError:
-        """It gave an observation that is not made of ``size`` numbers."""
+    def misfit(
+        self, env: Env, call: str, obs: Any, size: int, error: BaseException | None = None
+    ) -> FaultyEnvironmentError:
+        """It gave an observation that is not made of ``size`` numbers, or cannot be converted."""
         layer = layer_with(env, call)
         wrong = _wrong_obs(call, obs, layer)
         if not wrong:
@@ -98,9 +107,15 @@ class Faults:
                     raise TypeError
                 what = f"of {np.asarray(obs, dtype=np.float64).size} numbers"
             except Exception:  # noqa: BLE001  # a user's object may raise anything
-                what = brief(obs)
+                what = brief(obs) + (f" ({said_by(error)})" if error else "")
             wrong = f"{call} returned an observation {what}, expected {size}"
         return self._fault(wrong, place_of_return(layer, call))
+
+    def _end_copy(self, error: BaseException) -> None:
+        """End a copy of this process that a user's code has forked: it is none of ours."""
+        if os.getpid() != self._pid:
+            code = error.code if isinstance(error, SystemExit) else 1
+            os._exit(code if isinstance(code, int) else int(code is not None))
 
     def _constructor(self) -> Any:
         spec = gymnasium.registry.get(self._env_id.rpartition(":")[2])

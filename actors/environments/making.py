@@ -1,5 +1,6 @@
 """Making an environment as the run says: its id, its arguments, and what is wrapped round it."""
 
+import dataclasses
 import importlib
 import importlib.util
 import inspect
@@ -20,7 +21,9 @@ from a2s.actors.environments.faults import Env, Faults
 from a2s.protocol.env_config import EnvConfig, wrapper_of
 from a2s.protocol.errors import A2SError, UsageError
 
+MOST_SEED = 0x7FFF_FFFF  # what an int of C holds
 _SHOWN = 8
+_START = Path.cwd()  # an environment may go elsewhere
 
 # Otherwise MuJoCo prints and leaves a MUJOCO_LOG.TXT behind, also for outdated models.
 mujoco.set_mju_user_warning(lambda _words: None)
@@ -64,6 +67,7 @@ def limit_of(env: Env) -> int | None:
 def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
     place, _, name = config.env_id.rpartition(":")
     more: dict[str, Any] = {"disable_env_checker": True}
+    made = None
     if config.max_episode_steps:
         more["max_episode_steps"] = config.max_episode_steps
     with warnings.catch_warnings():
@@ -71,16 +75,23 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             module = _module_of(config.env_id, place)
-            if module is None or name in gymnasium.registry:
-                return gymnasium.make(name, **more, **arguments)
-            made = _in_module(config.env_id, module, name)
-            spec = registration.EnvSpec(id=f"{made.__name__}-v0", entry_point=made)
+            if name in gymnasium.registry:
+                spec = gymnasium.registry[name]
+            elif module is None:
+                return gymnasium.make(name, **more, **arguments)  # it knows what is meant, or not
+            else:
+                made = _in_module(config.env_id, module, name)
+                spec = registration.EnvSpec(id=f"{name}-v0", entry_point=made)
+            # One of the same name as an argument of `make` would not reach the environment.
+            return gymnasium.make(
+                dataclasses.replace(spec, kwargs={**spec.kwargs, **arguments}), **more
+            )
         except gymnasium.error.Error as error:
             advice = f"; name what is in it: {name}:CLASS" if name.endswith(".py") else ""
             raise UsageError(f"environment {config.env_id!r}: {_line(error)}{advice}") from None
-        try:
-            return gymnasium.make(spec, **more, **arguments)
-        except BaseException as error:  # whatever a user's code raises
+        except Exception as error:
+            if made is None or isinstance(error, A2SError):
+                raise
             raise Faults(config.env_id).of_make(error, made) from error
 
 
@@ -119,20 +130,32 @@ def _module(place: str) -> Any:
                 "./FILE.py:NAME"
             ) from None
     path = Path(place)
-    if not path.exists() and Path(path.name).exists():
-        path = Path(path.name)  # of another machine's directory: the same file in ours
     if not path.exists():
-        raise UsageError(f"{place}: found no such file, nor {path.name} in {Path.cwd()}")
+        path = _START / path.name  # of another machine's directory: the same file in ours
+    if not path.exists():
+        raise UsageError(f"{place}: found no such file, nor {path.name} in {_START}")
     path = path.resolve()
     loaded = sys.modules.get(path.stem)
     if loaded is not None and getattr(loaded, "__file__", None) == str(path):
         return loaded
     sys.path.append(str(path.parent))
+    return _run_file(path)
+
+
+def _run_file(path: Path) -> Any:
     found = importlib.util.spec_from_file_location(path.stem, path)
     assert found is not None
     assert found.loader is not None
     module = sys.modules[path.stem] = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    try:
+        found.loader.exec_module(module)
+    except ImportError as error:
+        if "relative import" not in str(error):
+            raise
+        raise UsageError(
+            f"{path.name}: it imports from the package that it is a part of; name it as Python "
+            f"does, PACKAGE.{path.stem}:NAME, in the directory above the package"
+        ) from None
     return module
 
 

@@ -67,7 +67,11 @@ class Observations:
 
     def _float32(self, call: str, obs: Any) -> Array:
         if self._is_direct:
-            return obs.astype(_FLOAT32) if type(obs) is np.ndarray else np.array(obs, _FLOAT32)
+            if type(obs) is np.ndarray:
+                return obs.astype(_FLOAT32)
+            if isinstance(obs, np.ma.MaskedArray):
+                obs = np.ma.filled(obs.astype(_FLOAT32), np.nan)
+            return np.array(obs, _FLOAT32)
         frame = _numbers(self._space, obs)
         if frame.size != self._size:
             raise ValueError
@@ -81,8 +85,8 @@ class Observations:
         try:
             with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
                 return self._float32(call, obs)
-        except Exception:  # noqa: BLE001  # a user's object may raise anything
-            raise self._faults.misfit(self._env, call, obs, self._size) from None
+        except Exception as error:  # noqa: BLE001  # a user's object may raise anything
+            raise self._faults.misfit(self._env, call, obs, self._size, error) from None
 
 
 def is_flat(space: "spaces.Space[Any]") -> bool:
@@ -97,5 +101,16 @@ def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:
     if isinstance(space, spaces.Tuple):
         parts = zip(space.spaces, value, strict=True)
         return np.concatenate([_numbers(part, x) for part, x in parts])
-    flat = value if isinstance(space, spaces.Box) else spaces.flatten(space, value)
-    return np.array(flat, dtype=np.float64).reshape(-1)
+    if not isinstance(space, spaces.Box):
+        _require_within(space, value)
+        value = spaces.flatten(space, value)
+    return np.array(value, dtype=np.float64).reshape(-1)
+
+
+def _require_within(space: "spaces.Space[Any]", value: Any) -> None:
+    """Refuse a number of no class: one-hot, it would count as another."""
+    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete):
+        count = space.n if isinstance(space, spaces.Discrete) else space.nvec
+        index = np.asarray(value) - space.start
+        if ((index < 0) | (index >= count)).any():
+            raise ValueError("out of range")

@@ -43,6 +43,26 @@ def test_the_cause_is_told_whatever_was_spoiled_before(how: str) -> None:
     assert len(words) < 700
 
 
+@pytest.mark.parametrize("name", ["Forks", "ReadsArguments", "SlowResets"])
+def test_what_simulators_do_on_their_own_is_no_fault(name: str) -> None:
+    env_id = f"a2s_case_processes:{name}-v0"
+    found = check(EnvConfig(env_id=env_id, timeout_s=1.0), lambda _: None)
+    assert found["steps"] > 0
+
+
+def test_a_process_that_was_there_before_is_none_of_ours(tmp_path: Path) -> None:
+    """A shell has started it, and has become this program."""
+    note = tmp_path / "pid"
+    code = (
+        "from a2s.actors.check import check; from a2s.protocol.env_config import EnvConfig; "
+        "check(EnvConfig(env_id='a2s_case_envs:Control-v0'), print)"
+    )
+    script = f'setsid sleep 600 & echo $! > {note}; exec {sys.executable} -c "$0"'
+    subprocess.run(["sh", "-c", script, code], check=True, timeout=60)
+    daemon = psutil.Process(int(note.read_text()))
+    daemon.kill()  # it is still there
+
+
 def test_a_flood_of_words_is_cut_and_counted() -> None:
     words: list[str] = []
     found = check(EnvConfig(env_id="a2s_case_processes:Flood-v0"), words.append)

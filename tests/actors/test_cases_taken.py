@@ -126,6 +126,46 @@ def test_a_dtype_of_integers_rounds_no_fractions_and_rewards_of_any_kind_are_add
     assert reward == -0.75
 
 
+@pytest.mark.parametrize("space", ["Discrete", "Multi"])
+def test_a_class_that_there_is_none_of_is_no_other_class(space: str) -> None:
+    environment = Environment(EnvConfig(env_id=f"a2s_case_numbers:NoClass{space}-v0"))
+    environment.reset(seed=1)
+    environment.step(action(0.25))
+    with pytest.raises(FaultyEnvironmentError, match=r"step returned .*, expected .*Discrete\("):
+        environment.step(action(0.25))
+
+
+def test_a_number_under_a_mask_is_none() -> None:
+    environment = Environment(EnvConfig(env_id="a2s_case_numbers:NoClassMasked-v0"))
+    environment.reset(seed=1)
+    steps = [environment.step(action(0.25))[0] for _ in range(2)]
+    assert [bool(np.isnan(obs).any()) for obs in steps] == [False, True]
+
+
+def test_an_argument_is_the_constructors_whatever_its_name() -> None:
+    config = EnvConfig(
+        env_id="a2s_case_numbers:Named-v0",
+        kwargs='{"max_episode_steps": 50, "id": "left"}',
+        max_episode_steps=9,
+    )
+    environment = Environment(config)
+    assert vars(environment._env.unwrapped)["told"] == (50, "left")
+    assert environment.episode_limit == 9
+
+
+def test_seeds_are_integers_of_c(graph: bytes) -> None:
+    for seed in range(5):
+        play(graph, "a2s_case_numbers:Named-v0", steps=10, num_envs=8, seed=seed)
+
+
+@pytest.mark.parametrize(("name", "length"), [("make_anonymously", 100), ("make_in_part", 7)])
+def test_whatever_can_be_called_makes_an_environment(name: str, length: int) -> None:
+    environment = Environment(EnvConfig(env_id=f"a2s_case_numbers:{name}"))
+    environment.reset(seed=1)
+    ends = [environment.step(action(0.25))[3] for _ in range(length)]
+    assert ends.index(True) == length - 1
+
+
 def test_an_observation_of_another_size_is_no_stack_of_smaller_ones() -> None:
     environment = Environment(EnvConfig(env_id="a2s_case_mistakes:Twice-v0", frame_stack=2))
     environment.reset(seed=1)

@@ -1,5 +1,6 @@
 """Environments whose numbers and spaces are those of other people; importing registers them."""
 
+import functools
 import json
 import os
 import random
@@ -108,6 +109,46 @@ class Inexact(Control):
         """An array as the reward."""
         obs, reward, *rest = super().step(action)
         return obs, np.array([reward]), *rest
+
+
+class NoClass(Control):
+    """Observes a class that there is none of, or hides a number under a mask.
+
+    Args:
+        space: ``discrete``, ``multi`` or ``masked``.
+    """
+
+    def __init__(self, space: str) -> None:
+        super().__init__()
+        self._space = space
+        if space == "discrete":
+            self.observation_space = spaces.Discrete(3)
+        elif space == "multi":
+            self.observation_space = spaces.MultiDiscrete([3, 3])
+
+    def obs(self) -> Any:
+        """In step 2."""
+        if self._space == "masked":
+            return np.ma.masked_array(super().obs(), mask=[False, self.at == 2, False])
+        index = -1 if self.at == 2 else 2
+        return np.int64(index) if self._space == "discrete" else np.array([0, index])
+
+
+class Named(Control):
+    """Has arguments that Gymnasium's own functions have too; and one that is a C integer."""
+
+    def __init__(self, max_episode_steps: int = 0, id: str = "") -> None:  # noqa: A002
+        super().__init__()
+        self.told = max_episode_steps, id
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Have no room for more than 31 bits."""
+        assert (kwargs["seed"] or 0) < 2**31
+        return super().reset(**kwargs)
+
+
+make_anonymously = lambda: Control()  # noqa: E731
+make_in_part = functools.partial(Control, length=7)
 
 
 class Broken(Control):
@@ -296,6 +337,9 @@ register("Integers", Strict, low=-1, high=1, dtype="int32")
 register("IntegersUnsigned", Strict, low=0, high=3, dtype="uint8")
 register("Matrix", Matrix)
 register("Composite", Composite)
+register("Named", Named)
+for _space in ("discrete", "multi", "masked"):
+    register(f"NoClass{_space.capitalize()}", NoClass, space=_space)
 register("Inexact", Inexact, nested=False)
 register("InexactDict", Inexact, nested=True)
 for _name, _broken in BROKEN.items():

@@ -3,6 +3,7 @@
 They print, start helpers that live on, hang, want to be alone, and cannot be closed.
 """
 
+import argparse
 import ctypes
 import fcntl
 import multiprocessing
@@ -281,6 +282,44 @@ SPOILED: dict[str, Callable[[], object]] = {
 }
 
 
+class Forks(Control):
+    """Copies its process in the constructor and in steps; a copy ends by an exception."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._copy(SystemExit(0))
+
+    def _copy(self, end: BaseException) -> None:
+        pid = os.fork()
+        if pid == 0:
+            raise end
+        os.waitpid(pid, 0)
+
+    def step(self, action: Obs) -> Step:
+        """Copy itself in the third step."""
+        step = super().step(action)
+        if self.at == 3:
+            self._copy(RuntimeError("in a copy"))
+        return step
+
+
+class ReadsArguments(Control):
+    """Believes that the command line is its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        argparse.ArgumentParser().parse_args()
+
+
+class SlowResets(Control):
+    """Each takes a while, and all of them together longer than one may."""
+
+    def begin(self) -> Obs:
+        """Take a while."""
+        time.sleep(0.15)
+        return super().begin()
+
+
 class Flood(Control):
     """Prints a thousand lines in each step."""
 
@@ -291,4 +330,7 @@ class Flood(Control):
 
 
 register("Spoils", Spoils)
+register("Forks", Forks)
+register("ReadsArguments", ReadsArguments)
+register("SlowResets", SlowResets)
 register("Flood", Flood)

@@ -28,10 +28,11 @@ def play(
     episodes: int = 0,
     num_envs: int = 2,
     tally: Tally | None = None,
+    seed: int = 0,
 ) -> list[Segment]:
     """Play a quota of steps, and of episodes, in environments with this id."""
     environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(num_envs)]
-    rollout = Rollout("tester", environments, 0, tally or Tally(), Troubles())
+    rollout = Rollout("tester", environments, seed, tally or Tally(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=steps, quota_episodes=episodes, num_bytes=1,
         sha256="",
