@@ -45,7 +45,7 @@ LABELS: dict[str, tuple[str, ...]] = {
     "k1": ("--suggestions", "1"),
     "k4": ("--suggestions", "4"),
     "hard": ("--set", "selection=hard"),
-    "eq6": ("--set", "distil=joint"),
+    "eq6": ("--set", "distil=separate"),  # the results are of `joint`, which is gone
     "temperature-1": ("--set", "temperature=1"),
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,

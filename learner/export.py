@@ -31,12 +31,9 @@ class _Form(NamedTuple):
     mode: str
     clips: bool
     normalises: bool
-    activation: str
     layer_norm: bool
     policy_layers: int
     q_layers: int
-    critics: int
-    combine: str
 
 
 def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, str]) -> bytes:
@@ -60,18 +57,15 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
 def _form(suggester: Suggester) -> _Form:
     q_net, body = suggester.q_net, suggester.policy.body
     return _Form(
-        obs_size=body.weight[0].shape[1],
+        obs_size=body.weight[0].shape[0],
         action_size=len(suggester.action_low),
         suggestions=suggester.suggestions,
         mode=suggester.mode,
         clips=suggester.action_mode == "clip",
         normalises=suggester.normaliser.enabled,
-        activation=body.activation,
         layer_norm=body.layer_norm,
         policy_layers=len(body.weight),
         q_layers=len(q_net.body.weight) if q_net else 0,
-        critics=q_net.members if q_net else 0,
-        combine=q_net.combine if q_net else "mean",
     )
 
 
@@ -85,21 +79,18 @@ def _numbers(suggester: Suggester, form: _Form) -> Numbers:
         "std": log_std.exp().numpy(),
         "log_norm": constant([log_norm]),
         "minus_half": constant([-0.5]),
-        **_body_numbers("policy", suggester.policy.body, 0),
+        **_body_numbers("policy", suggester.policy.body),
     }
     if suggester.q_net is None:
         return numbers | {"zero": constant([0.0])}
     numbers["axis_2"] = np.array([2], np.int64)
-    for member in range(form.critics):
-        numbers |= _body_numbers(f"q{member}", suggester.q_net.body, member)
-        first = numbers.pop(f"q{member}.weight.0")
-        numbers[f"q{member}.weight.obs"] = first[: form.obs_size]
-        numbers[f"q{member}.weight.action"] = first[form.obs_size :]
+    numbers |= _body_numbers("q0", suggester.q_net.body)
+    first = numbers.pop("q0.weight.0")
+    numbers["q0.weight.obs"] = first[: form.obs_size]
+    numbers["q0.weight.action"] = first[form.obs_size :]
     one = constant(1.0)
     numbers |= {"q_scale": constant([suggester.q_scale])}
     numbers |= {"minus_one": -one, "plus_one": one} if form.clips else {}
-    if form.critics == 2 and form.combine == "mean":
-        numbers["half"] = constant([0.5])
     if form.mode == "soft":
         numbers["temperature"] = constant([suggester.temperature])
         numbers["spread_eps"] = constant([SPREAD_EPS])
@@ -107,15 +98,12 @@ def _numbers(suggester: Suggester, form: _Form) -> Numbers:
     return numbers
 
 
-def _body_numbers(name: str, body: Body, member: int) -> Numbers:
+def _body_numbers(name: str, body: Body) -> Numbers:
     parts = {"weight": body.weight, "bias": body.bias, "gain": body.gain, "offset": body.offset}
-    numbers = {
-        f"{name}.{part}.{index}": tensor[member].detach().numpy()
+    return {
+        f"{name}.{part}.{index}": tensor.detach().numpy()
         for part, tensors in parts.items()
         for index, tensor in enumerate(tensors)
-    }
-    return {
-        key: array if ".weight." in key else array.reshape(-1) for key, array in numbers.items()
     }
 
 
@@ -128,13 +116,11 @@ class _Suggester:
         self.add = self.nodes.add
 
     def hidden(self, name: str, layer: int, x: str) -> str:
-        """Layer normalisation and non-linearity on the sums of a layer."""
+        """Layer normalisation and tanh on the sums of a layer."""
         if self.form.layer_norm:
             scale = (f"{name}.gain.{layer}", f"{name}.offset.{layer}")
             x = self.add("LayerNormalization", x, *scale, axis=-1, epsilon=LAYER_NORM_EPS)
-        if self.form.activation == "silu":
-            return self.add("Mul", x, self.add("Sigmoid", x))
-        return self.add("Tanh" if self.form.activation == "tanh" else "Relu", x)
+        return self.add("Tanh", x)
 
     def policy(self, seen: str) -> str:
         x = self.add("Gemm", seen, "policy.weight.0", "policy.bias.0")
@@ -143,26 +129,17 @@ class _Suggester:
             x = self.add("Gemm", x, f"policy.weight.{layer}", f"policy.bias.{layer}")
         return x
 
-    def critic(self, name: str, seen: str, action: str) -> str:
-        """Scores ``[B, K]``; the observation's part of the first layer once for all K."""
-        part = self.add("Gemm", seen, f"{name}.weight.obs", f"{name}.bias.0")
-        x = self.add("MatMul", action, f"{name}.weight.action")
+    def scores(self, seen: str, action: str) -> str:
+        """Q, ``[B, K]``; the observation's part of the first layer once for all K."""
+        if self.form.clips:
+            action = self.add("Clip", action, "minus_one", "plus_one")
+        part = self.add("Gemm", seen, "q0.weight.obs", "q0.bias.0")
+        x = self.add("MatMul", action, "q0.weight.action")
         x = self.add("Add", x, self.add("Unsqueeze", part, "axis_1"))
         for layer in range(1, self.form.q_layers):
-            x = self.add("MatMul", self.hidden(name, layer - 1, x), f"{name}.weight.{layer}")
-            x = self.add("Add", x, f"{name}.bias.{layer}")
+            x = self.add("MatMul", self.hidden("q0", layer - 1, x), f"q0.weight.{layer}")
+            x = self.add("Add", x, f"q0.bias.{layer}")
         return self.add("Squeeze", x, "axis_2")
-
-    def scores(self, seen: str, candidates: str) -> str:
-        action = candidates
-        if self.form.clips:
-            action = self.add("Clip", candidates, "minus_one", "plus_one")
-        found = [self.critic(f"q{m}", seen, action) for m in range(self.form.critics)]
-        if len(found) == 1:
-            return found[0]
-        if self.form.combine == "min":
-            return self.add("Min", *found)
-        return self.add("Mul", self.add("Add", *found), "half")
 
     def select(self, score: str) -> str:
         """Index of the chosen suggestion, ``[B, 1]``; writes ``q_spread`` and ``preference``."""

@@ -40,7 +40,6 @@ ON_POLICY = _EITHER | {
     "norm_adv": "normalise_advantage",
     "target_kl": "kl_stop",
     "max_gradient_norm": "max_grad_norm",
-    "activation_fn": "activation",
 }
 OFF_POLICY = _EITHER | {
     "buffer_size": "replay_rows",

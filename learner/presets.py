@@ -31,10 +31,8 @@ _MODERN: dict[str, Choice] = {
     "selection": Choice("soft", "probe on Hopper: a hard argmax leaves the mean behind"),
     "temperature": Choice(3.0, "measured: at 1 the weights leave a third of the batch, adr/0006"),
     "selection_fades": Choice(True, "measured on HalfCheetah: else the mean action is left behind"),
-    "critic_score": Choice("mean", _OURS),
     "action_mode": Choice("clip", "environments charge for what they are given"),
     "warm_up": Choice("first-fit", "the argmax of an untrained Q is an arbitrary direction"),
-    "warm_up_explained_variance": Choice(0.0, "no better than a constant"),
     "batch_steps": Choice(2048, _PPO),
     "batch_steps_first": Choice(256, "measured: InvertedPendulum is solved in 15 small batches"),
     "batch_growth": Choice(1.1, "measured, with the size of the first batch"),
@@ -43,7 +41,6 @@ _MODERN: dict[str, Choice] = {
     "max_policy_lag": Choice(1, "acting and learning at the same time"),
     "gamma": Choice(0.99, _PPO),
     "gae_lambda": Choice(0.95, _PPO),
-    "target_lambda": Choice(0.95, "as the advantage"),
     "time_limit_is_terminal": Choice(False, "Pardo et al. 2018"),
     "normalise_obs": Choice(True, "Andrychowicz et al. 2021"),
     "normalise_return": Choice(True, "Andrychowicz et al. 2021"),
@@ -51,8 +48,6 @@ _MODERN: dict[str, Choice] = {
     "policy_sizes": Choice((64, 64), "paper, section 5"),
     "value_sizes": Choice((64, 64), "paper, section 5"),
     "q_sizes": Choice((128, 64), "paper, section 5"),
-    "critics": Choice(1, "paper, algorithm 1"),
-    "activation": Choice("tanh", _CODE),
     "layer_norm": Choice(True, _CODE),
     "init": Choice("orthogonal", "Andrychowicz et al. 2021"),
     "std": Choice(0.5, _PAPER),
@@ -66,7 +61,6 @@ _MODERN: dict[str, Choice] = {
     "q_fit_extra_steps": Choice(0, _UNUSED),
     "value_fit_extra_steps": Choice(0, _UNUSED),
     "fit_threshold": Choice(0.0, _UNUSED),
-    "q_weight_decay": Choice(0.0, _OURS),
     "advantage": Choice("gae", "Schulman et al. 2016"),
     "normalise_advantage": Choice(True, "common practice"),
     "policy_loss": Choice("clip", "PPO paper, equation 7"),
@@ -77,8 +71,6 @@ _MODERN: dict[str, Choice] = {
     "policy_minibatch": Choice(256, "measured: 64 and 128 no better on HalfCheetah, and slower"),
     "kl_stop": Choice(0.05, "bounds the whole update, equation 6 included"),
     "distil": Choice("off", "measured: it follows the noise of Q, adr/0006"),
-    "distil_loss": Choice("log-likelihood", _UNUSED),
-    "distil_weight": Choice(0.2, _UNUSED),
     "distil_suggestions": Choice(10, _UNUSED),
     "distil_top": Choice(1, _UNUSED),
     "distil_steps": Choice(50, _UNUSED),
@@ -92,7 +84,6 @@ _MODERN: dict[str, Choice] = {
     "recovery_cool_down": Choice(3, _OURS),
     "recovery_restores": Choice("everything", "the momentum led to the crash"),
     "recovery_learns": Choice(False, "the batch is of other networks"),
-    "recovery_best_decay": Choice(0.0, _OURS),
     "recovery_lr_divisor": Choice(2.0, _OURS),
     "recovery_kl_divisor": Choice(1.0, "nothing undoes it"),
     "learning_rate": Choice(5e-4, "measured: 1e-3 no better on InvertedPendulum"),
@@ -111,10 +102,8 @@ _AUTHORS: dict[str, Choice] = _MODERN | {
     "selection": Choice("hard", "paper, algorithm 1"),
     "temperature": Choice(1.0, _UNUSED),
     "selection_fades": Choice(False, _UNUSED),
-    "critic_score": Choice("mean", _UNUSED),
     "action_mode": Choice("raw", _CODE),
     "warm_up": Choice("none", _CODE),
-    "warm_up_explained_variance": Choice(0.0, _UNUSED),
     "batch_steps": Choice(500, _CODE),
     "batch_steps_first": Choice(500, _CODE),
     "batch_growth": Choice(1.0, _CODE),
@@ -122,8 +111,7 @@ _AUTHORS: dict[str, Choice] = _MODERN | {
     "whole_episodes": Choice(True, "paper, algorithm 1"),
     "max_policy_lag": Choice(0, _CODE),
     "gamma": Choice(0.97, _PAPER),
-    "gae_lambda": Choice(1.0, _CODE),
-    "target_lambda": Choice(1.0, "paper, section 4.1"),
+    "gae_lambda": Choice(1.0, "paper, section 4.1"),
     "time_limit_is_terminal": Choice(True, _CODE),
     "normalise_obs": Choice(False, _CODE),
     "normalise_return": Choice(False, _CODE),
@@ -139,7 +127,6 @@ _AUTHORS: dict[str, Choice] = _MODERN | {
     "q_fit_extra_steps": Choice(5000, _CODE),
     "value_fit_extra_steps": Choice(100, _CODE),
     "fit_threshold": Choice(100.0, _CODE),
-    "q_weight_decay": Choice(0.0, _CODE),
     "advantage": Choice("return-v", "paper, section 4"),
     "normalise_advantage": Choice(False, _CODE),
     "policy_loss": Choice("score", "paper, equation 4"),
@@ -150,8 +137,6 @@ _AUTHORS: dict[str, Choice] = _MODERN | {
     "policy_minibatch": Choice(0, _CODE),
     "kl_stop": Choice(float("inf"), _CODE),
     "distil": Choice("separate", _CODE),
-    "distil_loss": Choice("mse", "paper, equation 6"),
-    "distil_weight": Choice(1.0, _UNUSED),
     "distil_suggestions": Choice(10, _PAPER),
     "distil_top": Choice(1, "paper, equation 6"),
     "distil_steps": Choice(50, _CODE),
@@ -165,7 +150,6 @@ _AUTHORS: dict[str, Choice] = _MODERN | {
     "recovery_cool_down": Choice(0, _CODE),
     "recovery_restores": Choice("networks", _CODE),
     "recovery_learns": Choice(True, _CODE),
-    "recovery_best_decay": Choice(0.0, _CODE),
     "recovery_lr_divisor": Choice(5.0, _CODE),
     "recovery_kl_divisor": Choice(1.1, _CODE),
     "learning_rate": Choice(1e-3, _CODE),
@@ -201,7 +185,6 @@ _A2C: dict[str, Choice] = {
     "distil": Choice("off", "algo a2c"),
     "recovery": Choice("off", "algo a2c"),
 }
-_A2C_ADVANTAGES = {"q-v": "return-v", "all-suggestions": "gae"}
 _FIELDS: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(OnPolicyHyper)}
 
 
@@ -222,10 +205,8 @@ def choices(preset: str, algo: str) -> dict[str, Choice]:
     table = PRESETS[preset]
     if algo == "a2s":
         return dict(table)
-    advantage = table["advantage"]
-    without_q = _A2C_ADVANTAGES.get(str(advantage.value))
-    changed = {"advantage": Choice(without_q, "algo a2c")} if without_q else {}
-    return table | _A2C | changed
+    reads_q = table["advantage"].value == "q-v"
+    return table | _A2C | ({"advantage": Choice("return-v", "algo a2c")} if reads_q else {})
 
 
 def on_policy(preset: str, algo: str, overrides: Mapping[str, object]) -> OnPolicyHyper:

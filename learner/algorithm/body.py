@@ -6,28 +6,17 @@ sequence of kernels here. ``tests/learner/algorithm/test_body.py`` compares it t
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from a2s.learner.algorithm.hyperparameters import Activation, Init, OnPolicyHyper
+from a2s.learner.algorithm.hyperparameters import Init, OnPolicyHyper
 from a2s.learner.algorithm.layer_norm import LAYER_NORM_EPS
 
-ACTIVATIONS: dict[Activation, Callable[[Tensor], Tensor]] = {
-    "tanh": torch.tanh,
-    "silu": F.silu,
-    "relu": torch.relu,
-}
 _aten = torch.ops.aten
-# Gradient of what went in, from that of what came out, what went in, and what came out.
-_DERIVATIVES: dict[Activation, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
-    "tanh": lambda grad, _, out: _aten.tanh_backward(grad, out),
-    "silu": lambda grad, inner, _: _aten.silu_backward(grad, inner),
-    "relu": lambda grad, _, out: _aten.threshold_backward(grad, out, 0),
-}
 
 
 class Layer(NamedTuple):
@@ -41,17 +30,15 @@ class Layer(NamedTuple):
     normal: Tensor
     mean: Tensor
     rstd: Tensor
-    inner: Tensor
     out: Tensor
 
 
 class Body(nn.Module):
-    """Linear, layer normalisation (optional), non-linearity for each hidden layer; then Linear.
+    """Linear, layer normalisation (optional) and tanh for each hidden layer; then Linear.
 
     Args:
         sizes: Units of input, hidden layers and output.
-        members: E, networks evaluated together.
-        hyper: Gives activation, layer_norm and init.
+        hyper: Gives layer_norm and init.
         output_gain: Gain of the output layer in the init ``orthogonal``.
         generator: Draws the first weights.
     """
@@ -60,47 +47,41 @@ class Body(nn.Module):
         self,
         sizes: Sequence[int],
         *,
-        members: int,
         hyper: OnPolicyHyper,
         output_gain: float,
         generator: torch.Generator,
     ) -> None:
         super().__init__()
-        self.members = members
         self.layer_norm = hyper.layer_norm
-        self.activation = hyper.activation
-        self._activate = ACTIVATIONS[hyper.activation]
-        self._derive = _DERIVATIVES[hyper.activation]
         gains = [math.sqrt(2.0)] * (len(sizes) - 2) + [output_gain]
         weight, bias = [], []
         for index, (rows, columns, gain) in enumerate(
             zip(sizes[:-1], sizes[1:], gains, strict=True)
         ):
             limit = 1.0 if index < len(sizes) - 2 else 0.1
-            drawn = torch.empty(members, rows, columns)
+            drawn = torch.empty(rows, columns)
             _draw(drawn, hyper.init, limit, gain, generator)
             weight.append(nn.Parameter(drawn))
-            bias.append(nn.Parameter(torch.zeros(members, 1, columns)))
+            bias.append(nn.Parameter(torch.zeros(columns)))
         self.weight = nn.ParameterList(weight)
         self.bias = nn.ParameterList(bias)
         hidden = sizes[1:-1] if hyper.layer_norm else ()
-        self.gain = nn.ParameterList([nn.Parameter(torch.ones(members, 1, n)) for n in hidden])
-        self.offset = nn.ParameterList([nn.Parameter(torch.zeros(members, 1, n)) for n in hidden])
+        self.gain = nn.ParameterList([nn.Parameter(torch.ones(n)) for n in hidden])
+        self.offset = nn.ParameterList([nn.Parameter(torch.zeros(n)) for n in hidden])
         # The same parameters: looking one up in a ParameterList takes as long as a small kernel.
         self._sums = list(zip(weight, bias, strict=True))
         self._norms = list(zip(self.gain, self.offset, strict=True))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map inputs ``[N, in]`` to outputs ``[E, N, out]``."""
-        rows = x.expand(self.members, *x.shape)
-        return self.after_first(torch.baddbmm(self.bias[0], rows, self.weight[0]))
+        """Map inputs ``[N, in]`` to outputs ``[N, out]``."""
+        return self.after_first(torch.addmm(self.bias[0], x, self.weight[0]))
 
     def after_first(self, x: Tensor) -> Tensor:
-        """Go on from the sums of the first layer, ``[E, N, hidden]``, to ``[E, N, out]``."""
+        """Go on from the sums of the first layer, ``[N, hidden]``, to ``[N, out]``."""
         for index, (weight, bias) in enumerate(self._sums[1:]):
             if self.layer_norm:
-                x = _layer_norm(x, *self._norms[index])
-            x = torch.baddbmm(bias, self._activate(x), weight)
+                x = F.layer_norm(x, x.shape[-1:], *self._norms[index], LAYER_NORM_EPS)
+            x = torch.addmm(bias, torch.tanh(x), weight)
         return x
 
     @torch.no_grad()
@@ -111,12 +92,11 @@ class Body(nn.Module):
             x: Inputs, ``[N, in]``.
 
         Returns:
-            Outputs, ``[E, N, out]``, and the layers.
+            Outputs, ``[N, out]``, and the layers.
         """
-        layers = []
-        seen = x.expand(self.members, *x.shape)
+        layers, seen = [], x
         for index, (weight, bias) in enumerate(self._sums[:-1]):
-            linear = torch.baddbmm(bias, seen, weight)
+            linear = torch.addmm(bias, seen, weight)
             normal = mean = rstd = inner = linear
             if self.layer_norm:
                 normal, mean, rstd = torch.native_layer_norm(
@@ -124,12 +104,12 @@ class Body(nn.Module):
                 )
                 gain, offset = self._norms[index]
                 inner = torch.addcmul(offset, normal, gain)
-            out = self._activate(inner)
-            layers.append(Layer(seen, linear, normal, mean, rstd, inner, out))
+            out = torch.tanh(inner)
+            layers.append(Layer(seen, linear, normal, mean, rstd, out))
             seen = out
         weight, bias = self._sums[-1]
-        out = torch.baddbmm(bias, seen, weight)
-        layers.append(Layer(seen, out, out, out, out, out, out))
+        out = torch.addmm(bias, seen, weight)
+        layers.append(Layer(seen, out, out, out, out, out))
         return out, layers
 
     @torch.no_grad()
@@ -138,23 +118,22 @@ class Body(nn.Module):
 
         Args:
             layers: Of `trace`.
-            grad: Gradient of the loss with respect to the outputs, ``[E, N, out]``.
+            grad: Gradient of the loss with respect to the outputs, ``[N, out]``.
         """
         for index in reversed(range(len(layers))):
             weight, bias = self._sums[index]
-            torch.bmm(layers[index].seen.mT, grad, out=weight.grad)
-            torch.sum(grad, 1, keepdim=True, out=bias.grad)
+            torch.mm(layers[index].seen.mT, grad, out=weight.grad)
+            torch.sum(grad, 0, out=bias.grad)
             if index > 0:
                 below = layers[index - 1]
-                grad = torch.bmm(grad, weight.mT)
-                grad = self._derive(grad, below.inner, below.out)
+                grad = _aten.tanh_backward(torch.mm(grad, weight.mT), below.out)
                 if self.layer_norm:
                     grad = self._through_norm(index - 1, below, grad)
 
     def _through_norm(self, index: int, layer: Layer, grad: Tensor) -> Tensor:
         gain, offset = self._norms[index]
-        torch.sum(grad * layer.normal, 1, keepdim=True, out=gain.grad)
-        torch.sum(grad, 1, keepdim=True, out=offset.grad)
+        torch.sum(grad * layer.normal, 0, out=gain.grad)
+        torch.sum(grad, 0, out=offset.grad)
         through: Tensor = _aten.native_layer_norm_backward(
             grad * gain,
             layer.linear,
@@ -168,20 +147,11 @@ class Body(nn.Module):
         return through
 
 
-def _layer_norm(x: Tensor, gain: Tensor, offset: Tensor) -> Tensor:
-    """Normalise ``[E, N, hidden]``; gain and offset are ``[E, 1, hidden]``, one kernel if E = 1."""
-    width = x.shape[-1:]
-    if len(gain) == 1:
-        return F.layer_norm(x, width, gain.view(-1), offset.view(-1), LAYER_NORM_EPS)
-    return torch.addcmul(offset, F.layer_norm(x, width, eps=LAYER_NORM_EPS), gain)
-
-
 def _draw(
     weight: Tensor, init: Init, limit: float, gain: float, generator: torch.Generator
 ) -> None:
-    """Fill a layer's weights ``[E, in, out]`` with their first values."""
+    """Fill a layer's weights ``[in, out]`` with their first values."""
     if init == "uniform":
         nn.init.uniform_(weight, -limit, limit, generator=generator)
     else:
-        for member in weight:
-            nn.init.orthogonal_(member, gain=gain, generator=generator)
+        nn.init.orthogonal_(weight, gain=gain, generator=generator)

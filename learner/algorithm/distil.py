@@ -9,7 +9,7 @@ import math
 import torch
 from torch import Tensor
 
-from a2s.learner.algorithm.hyperparameters import ActionMode, DistilLoss
+from a2s.learner.algorithm.hyperparameters import ActionMode
 from a2s.learner.algorithm.networks import Policy, Q
 from a2s.learner.algorithm.optimiser import Adam
 from a2s.learner.algorithm.step_size import gaussian_kl
@@ -42,8 +42,7 @@ def distil_target(
 ) -> Tensor:
     """Average the best ``top`` of K fresh suggestions for every observation.
 
-    Regressing to each of the best, by squared error or by log-likelihood with the standard
-    deviation held, has the same gradient as regressing to their average.
+    Regressing to each of the best has the same gradient as regressing to their average.
 
     Args:
         q_net: Already updated.
@@ -65,35 +64,26 @@ def distil_target(
 
 
 @torch.no_grad()
-def distil_loss(
-    kind: DistilLoss, mean: Tensor, target: Tensor, std: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Loss of equation 6.
+def distil_loss(mean: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Loss of equation 6: squared error, its mean over steps and dimensions.
 
     Args:
-        kind: ``mse``: mean over steps and dimensions; ``log-likelihood``: of the joint density,
-            the standard deviation held.
         mean: Of the policy, ``[M, A]``.
         target: mu^Q, ``[M, A]``.
-        std: Of the policy, ``[A]``; taken as given.
 
     Returns:
         The loss, a scalar, and its gradient by the mean, ``[M, A]``.
     """
     error = mean - target
-    if kind == "mse":
-        return error.square().mean(), error * (2.0 / error.numel())
-    pull = error / (std.square() * len(error))
-    return 0.5 * (error * pull).sum(), pull
+    return error.square().mean(), error * (2.0 / error.numel())
 
 
-def distil_separately(
+def distil_policy(
     policy: Policy,
     optimiser: Adam,
     obs: Tensor,
     target: Tensor,
     *,
-    kind: DistilLoss,
     steps: int,
     minibatch: int,
     kl_bound: float,
@@ -108,7 +98,6 @@ def distil_separately(
         optimiser: Of equation 6 alone.
         obs: Normalised, ``[N, D]``.
         target: From `distil_target`, ``[N, A]``.
-        kind: Of loss.
         steps: At most.
         minibatch: Rows of one step, drawn with replacement.
         kl_bound: Joint KL divergence, nats, from the policy before.
@@ -129,7 +118,7 @@ def distil_separately(
         moved = gaussian_kl(mean, log_std, before[rows], log_std).sum(1).mean()
         if float(moved) > kl_bound:
             break
-        loss, by_mean = distil_loss(kind, mean, target[rows], log_std.exp())
+        loss, by_mean = distil_loss(mean, target[rows])
         policy.differentiate(layers, by_mean, torch.zeros_like(log_std))
         optimiser.step(learning_rate, max_grad_norm)
         total += loss.item()

@@ -53,15 +53,11 @@ def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyHyper) -> Evi
     after = bootstrap(batch, final_value, time_limit_is_terminal=hyper.time_limit_is_terminal)
     lam = 1.0 if hyper.advantage == "return-v" else hyper.gae_lambda
     advantage, target = lambda_estimates(batch, value, after, gamma=hyper.gamma, lam=lam)
-    if lam != hyper.target_lambda:
-        _, target = lambda_estimates(
-            batch, value, after, gamma=hyper.gamma, lam=hyper.target_lambda
-        )
+    if lam != hyper.gae_lambda:
+        _, target = lambda_estimates(batch, value, after, gamma=hyper.gamma, lam=hyper.gae_lambda)
     q_variance = q_correlation = 0.0
     if hyper.uses_q:
-        q_value = learned.q_net.combined(
-            learned.q_net(q_input(batch, seen[: batch.num_steps], hyper))
-        )
+        q_value = learned.q_net(q_input(batch, seen[: batch.num_steps], hyper))
         q_value = learned.returns.restore(q_value)
         q_variance = explained_variance(q_value, target)
         q_correlation = correlation(q_value - value, target - value)

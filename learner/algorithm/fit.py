@@ -19,7 +19,7 @@ class Regression:
     """One network to be fitted.
 
     Attributes:
-        body: Its body, which has one output for each of E members.
+        body: Its body, which has one output.
         inputs: What it sees, ``[N, in]``.
         optimiser: Of its parameters.
     """
@@ -32,7 +32,7 @@ class Regression:
     def step(
         self, inputs: Tensor, target: Tensor, learning_rate: float, max_grad_norm: float
     ) -> Tensor:
-        """Make a step down the mean squared error, summed over the members, and return it."""
+        """Make a step down the mean squared error, and return it."""
         value, layers = self.body.trace(inputs)
         error = value.squeeze(-1) - target
         self.body.differentiate(layers, (error * (2.0 / len(target))).unsqueeze(-1))

@@ -9,12 +9,9 @@ from typing import Literal
 
 from a2s.learner.algorithm.ranges import check, check_most, refuse
 
-Activation = Literal["tanh", "silu", "relu"]
 ActionMode = Literal["clip", "raw"]
-Advantage = Literal["return-v", "q-v", "gae", "all-suggestions"]
-CriticScore = Literal["mean", "min"]
-Distil = Literal["off", "separate", "joint"]
-DistilLoss = Literal["mse", "log-likelihood"]
+Advantage = Literal["return-v", "q-v", "gae"]
+Distil = Literal["off", "separate"]
 FitRule = Literal["epochs", "threshold"]
 Init = Literal["uniform", "orthogonal"]
 KlDims = Literal["joint", "mean"]
@@ -25,7 +22,7 @@ RecoveryRule = Literal["off", "authors", "invariant"]
 RecoveryRestores = Literal["networks", "everything"]
 ReturnStatistic = Literal["mean", "max"]
 Selection = Literal["hard", "soft"]
-WarmUp = Literal["none", "first-fit", "explained-variance"]
+WarmUp = Literal["none", "first-fit"]
 
 # Closed ranges of integers.
 _INTEGERS: dict[str, tuple[int, float]] = {
@@ -35,7 +32,6 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "min_episodes": (0, math.inf),
     "max_policy_lag": (0, math.inf),
     "return_window_steps": (1, math.inf),
-    "critics": (1, 2),
     "critic_epochs": (1, math.inf),
     "critic_minibatch": (1, math.inf),
     "least_minibatches": (1, math.inf),
@@ -54,24 +50,19 @@ _INTEGERS: dict[str, tuple[int, float]] = {
 # Closed ranges of numbers; infinity is a value only where it is the upper end.
 _NUMBERS: dict[str, tuple[float, float]] = {
     "temperature": (1e-6, 1e6),
-    "warm_up_explained_variance": (-1e6, 1.0),
     "batch_growth": (1.0, 1e6),
     "gamma": (1e-6, 1.0),
     "gae_lambda": (0.0, 1.0),
-    "target_lambda": (0.0, 1.0),
     "std": (1e-6, 1e6),
     "std_floor": (0.0, 1e6),
     "fit_threshold": (0.0, math.inf),
-    "q_weight_decay": (0.0, 1e3),
     "clip_ratio": (1e-6, 1e6),
     "weight_limit": (0.0, math.inf),
     "entropy_weight": (0.0, 1e6),
     "kl_stop": (0.0, math.inf),
-    "distil_weight": (0.0, 1e6),
     "distil_kl": (0.0, math.inf),
     "recovery_bias": (0.0, 1e6),
     "recovery_offset": (-1e12, 1e12),
-    "recovery_best_decay": (0.0, 1.0),
     "recovery_lr_divisor": (1.0, 1e6),
     "recovery_kl_divisor": (1.0, 1e6),
     "learning_rate": (1e-12, 1e3),
@@ -99,14 +90,10 @@ class OnPolicyHyper:
     """Of soft selection, in units of Q's standard deviation over the K suggestions."""
     selection_fades: bool
     """Soft selection becomes indifferent towards the end: temperature / (1 - progress)."""
-    critic_score: CriticScore
-    """How the scores of two critics become one."""
     action_mode: ActionMode
     """What Q sees: ``clip``: suggestions clipped to the bounds; ``raw``: as they were drawn."""
     warm_up: WarmUp
-    """When Q may choose: at once, after its first fit, or once it explains fresh returns."""
-    warm_up_explained_variance: float
-    """What Q must exceed on a batch it was not fitted to, at most 1."""
+    """When Q may choose: at once, or after its first fit."""
 
     batch_steps: int
     """Steps in one batch, at least."""
@@ -127,9 +114,7 @@ class OnPolicyHyper:
     gamma: float
     """Discount per step, above 0 and at most 1."""
     gae_lambda: float
-    """Lambda of the generalised advantage estimate, 0..1."""
-    target_lambda: float
-    """Lambda of the targets of Q and V, 0..1; 1 is the discounted return."""
+    """Lambda of the advantages, and of the targets of Q and V, 0..1; 1: discounted returns."""
     time_limit_is_terminal: bool
     """A truncated episode counts as terminated: nothing is expected after it."""
     normalise_obs: bool
@@ -144,11 +129,7 @@ class OnPolicyHyper:
     value_sizes: tuple[int, ...]
     """Units of the value network's hidden layers."""
     q_sizes: tuple[int, ...]
-    """Units of the hidden layers of each critic."""
-    critics: int
-    """Q networks, 1 or 2."""
-    activation: Activation
-    """Non-linearity of the hidden layers."""
+    """Units of the hidden layers of Q."""
     layer_norm: bool
     """Hidden layers are normalised, with gain and offset, before the non-linearity."""
     init: Init
@@ -176,8 +157,6 @@ class OnPolicyHyper:
     """Steps that V may make after those."""
     fit_threshold: float
     """Running mean of the minibatch losses at which the rule stops, in squared returns."""
-    q_weight_decay: float
-    """Decoupled weight decay of Q."""
 
     advantage: Advantage
     """What weighs the policy gradient."""
@@ -199,11 +178,7 @@ class OnPolicyHyper:
     """The policy gradient ends after a pass that finds this KL divergence, joint, nats."""
 
     distil: Distil
-    """Equation 6: ``off``, ``separate`` steps before the policy gradient, ``joint`` with it."""
-    distil_loss: DistilLoss
-    """``mse`` on the mean, or ``log-likelihood`` with the standard deviation held."""
-    distil_weight: float
-    """Weight of equation 6 in the loss ``joint``."""
+    """Equation 6: ``off``, or ``separate`` steps before the policy gradient."""
     distil_suggestions: int
     """Fresh suggestions per observation for equation 6."""
     distil_top: int
@@ -231,8 +206,6 @@ class OnPolicyHyper:
     """The networks, or also optimisers and normalisers."""
     recovery_learns: bool
     """Equation 6 and the policy gradient still learn from the batch that led to recovery."""
-    recovery_best_decay: float
-    """Fraction of its distance to the present return that r* loses per update, 0..1."""
     recovery_lr_divisor: float
     """A recovery divides the learning rate by this."""
     recovery_kl_divisor: float
@@ -275,8 +248,7 @@ class OnPolicyHyper:
     @property
     def uses_q(self) -> bool:
         """Whether anything reads Q; where nothing does it is not fitted."""
-        reads = self.advantage in ("q-v", "all-suggestions")
-        return self.suggestions > 1 or self.distil != "off" or reads
+        return self.suggestions > 1 or self.distil != "off" or self.advantage == "q-v"
 
     def batch_steps_at(self, update: int) -> int:
         """Steps wanted in the batch of update 0, 1, 2...: growing, then ``batch_steps``."""

@@ -36,7 +36,7 @@ class Learned:
         returns: Scale of what Q and V say.
         policy: Suggests.
         value_net: V.
-        q_net: Q, one or two critics.
+        q_net: Q.
         adam: One optimiser for ``policy``, ``value`` and ``q``, and ``distil`` (of the policy).
     """
 
@@ -58,7 +58,7 @@ class Learned:
         self.adam = {
             "policy": Adam(self._flat["policy"]),
             "value": Adam(self._flat["value"]),
-            "q": Adam(self._flat["q"], weight_decay=hyper.q_weight_decay),
+            "q": Adam(self._flat["q"]),
             "distil": Adam(self._flat["policy"]),
         }
 

@@ -1,7 +1,6 @@
 """Policy, Q and value networks, and the normaliser of what they see.
 
-All three share one body, and one form: ``E`` networks of equal sizes that are evaluated together,
-``E = 1`` but for two critics. Whoever calls them normalises the observations first, once.
+All three share one body. Whoever calls them normalises the observations first, once.
 
 Source: section 5 and table 3 of the paper (64-64, Q 128-64, fixed standard deviation); layer
 normalisation before the non-linearity as in the authors' code.
@@ -104,7 +103,7 @@ class Policy(nn.Module):
     ) -> None:
         super().__init__()
         sizes = (obs_size, *hyper.policy_sizes, action_size)
-        self.body = Body(sizes, members=1, hyper=hyper, output_gain=0.01, generator=generator)
+        self.body = Body(sizes, hyper=hyper, output_gain=0.01, generator=generator)
         log_std = torch.full((action_size,), math.log(hyper.std))
         if hyper.learn_std:
             self.log_std = nn.Parameter(log_std)
@@ -115,12 +114,11 @@ class Policy(nn.Module):
     def forward(self, obs: Tensor) -> Tensor:
         """Mean action, canonical, of normalised observations: ``[N, D]`` to ``[N, A]``."""
         mean: Tensor = self.body(obs)
-        return mean.squeeze(0)
+        return mean
 
     def trace(self, obs: Tensor) -> tuple[Tensor, list[Layer]]:
         """Map like `forward`, and keep what `differentiate` needs."""
-        mean, layers = self.body.trace(obs)
-        return mean.squeeze(0), layers
+        return self.body.trace(obs)
 
     def differentiate(self, layers: list[Layer], by_mean: Tensor, by_log_std: Tensor) -> None:
         """Overwrite the gradients of all parameters.
@@ -130,7 +128,7 @@ class Policy(nn.Module):
             by_mean: Gradient of the loss by the means, ``[N, A]``.
             by_log_std: By the log standard deviation, ``[A]``; not used when that is fixed.
         """
-        self.body.differentiate(layers, by_mean.unsqueeze(0))
+        self.body.differentiate(layers, by_mean)
         if isinstance(self.log_std, nn.Parameter):
             assert self.log_std.grad is not None
             self.log_std.grad.copy_(by_log_std)
@@ -152,7 +150,7 @@ class Value(nn.Module):
     def __init__(self, obs_size: int, hyper: OnPolicyHyper, generator: torch.Generator) -> None:
         super().__init__()
         sizes = (obs_size, *hyper.value_sizes, 1)
-        self.body = Body(sizes, members=1, hyper=hyper, output_gain=1.0, generator=generator)
+        self.body = Body(sizes, hyper=hyper, output_gain=1.0, generator=generator)
 
     def forward(self, obs: Tensor) -> Tensor:
         """Values of normalised observations, in normalised returns: ``[N, D]`` to ``[N]``."""
@@ -161,7 +159,7 @@ class Value(nn.Module):
 
 
 class Q(nn.Module):
-    """One or two critics of an observation and an action."""
+    """Q: what is to be expected from an observation and an action on."""
 
     def __init__(
         self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
@@ -169,22 +167,12 @@ class Q(nn.Module):
         super().__init__()
         sizes = (obs_size + action_size, *hyper.q_sizes, 1)
         self.obs_size = obs_size
-        self.members = hyper.critics
-        self.combine = hyper.critic_score
-        self.body = Body(
-            sizes, members=hyper.critics, hyper=hyper, output_gain=1.0, generator=generator
-        )
+        self.body = Body(sizes, hyper=hyper, output_gain=1.0, generator=generator)
 
     def forward(self, joint: Tensor) -> Tensor:
-        """Values of normalised observations joined with actions: ``[N, D + A]`` to ``[E, N]``."""
+        """Values of normalised observations joined with actions: ``[N, D + A]`` to ``[N]``."""
         value: Tensor = self.body(joint)
-        return value.squeeze(-1)
-
-    def combined(self, value: Tensor) -> Tensor:
-        """One score from those of the critics: ``[E, ...]`` to ``[...]``."""
-        if self.members == 1:
-            return value[0]
-        return value.amin(0) if self.combine == "min" else value.mean(0)
+        return value.flatten()
 
     def score(self, obs: Tensor, action: Tensor) -> Tensor:
         """Score K actions for every observation; the observation's part is computed once.
@@ -198,9 +186,8 @@ class Q(nn.Module):
         """
         rows, count, _ = action.shape
         first, bias = self.body.weight[0], self.body.bias[0]
-        seen = torch.baddbmm(bias, obs.expand(self.members, *obs.shape), first[:, : self.obs_size])
-        done = action.flatten(0, 1).expand(self.members, rows * count, -1)
-        acted = torch.bmm(done, first[:, self.obs_size :])
-        both = acted.view(self.members, rows, count, -1) + seen.unsqueeze(2)
-        value: Tensor = self.body.after_first(both.flatten(1, 2))
-        return self.combined(value.view(self.members, rows, count))
+        seen = torch.addmm(bias, obs, first[: self.obs_size])
+        acted = torch.mm(action.flatten(0, 1), first[self.obs_size :])
+        both = acted.view(rows, count, -1) + seen.unsqueeze(1)
+        value: Tensor = self.body.after_first(both.flatten(0, 1))
+        return value.view(rows, count)

@@ -62,12 +62,10 @@ class OnPolicy:
             episodes=hyper.recovery_episodes,
             offset=hyper.recovery_offset,
             cool_down=hyper.recovery_cool_down,
-            best_decay=hyper.recovery_best_decay,
         )
         self._best: Snapshot | None = None
         self._before: Snapshot | None = None
         self._updates = 0
-        self._q_fits = 0
         self._q_trusted = hyper.warm_up == "none"
 
     @property
@@ -172,7 +170,6 @@ class OnPolicy:
             "step_size": self._step_size.state(),
             "recovery": self._recovery.state(),
             "updates": self._updates,
-            "q_fits": self._q_fits,
             "q_trusted": self._q_trusted,
         }
         return tensors, scalars
@@ -202,7 +199,6 @@ class OnPolicy:
         self._step_size.load(scalars["step_size"])
         self._recovery.load(scalars["recovery"])
         self._updates = scalars["updates"]
-        self._q_fits = scalars["q_fits"]
         self._q_trusted = scalars["q_trusted"]
 
     def _judge(self, batch: Batch, is_behind: bool) -> RecoveryDecision | None:
@@ -227,7 +223,7 @@ class OnPolicy:
         self._step_size.after_recovery()
 
     def _fit(self, batch: Batch, seen: Tensor, evidence: Evidence, rate: float) -> Fits:
-        """Fit Q and V, and see whether Q may choose from now on."""
+        """Fit Q and V; from now on Q may choose."""
         fits = fit_critics(
             batch,
             seen,
@@ -238,12 +234,7 @@ class OnPolicy:
             order=self._generators["order"],
             q_order=self._generators["q"],
         )
-        if self.hyper.warm_up == "first-fit":
-            self._q_trusted = True
-        elif self._q_fits > 0:
-            known = evidence.q_explained_variance
-            self._q_trusted |= known > self.hyper.warm_up_explained_variance
-        self._q_fits += 1
+        self._q_trusted = True
         return fits
 
     def _stats(

@@ -1,7 +1,4 @@
-"""The policy gradient: advantages, losses, and the passes over the batch.
-
-A step has ``J`` actions that weigh in: the executed suggestion alone, or K fresh ones.
-"""
+"""The policy gradient: advantages, losses, and the passes over the batch."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +7,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from a2s.learner.algorithm.distil import distil_loss
 from a2s.learner.algorithm.fit import num_chunks
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper, PolicyLoss
 from a2s.learner.algorithm.networks import Policy
@@ -29,13 +25,12 @@ class PolicyData:
 
     Attributes:
         obs: Normalised, ``[N, D]``.
-        action: Suggestions, not clipped, ``[N, J, A]``.
-        log_prob: Their log density under the policy before the update, ``[N, J]``.
-        advantage: ``[N, J]``.
-        weight: Importance of each for an average over that policy, ``[N, J]``.
+        action: Executed suggestions, not clipped, ``[N, A]``.
+        log_prob: Their log density under the policy before the update, ``[N]``.
+        advantage: ``[N]``.
+        weight: Importance of each for an average over that policy, ``[N]``.
         mean: Of the policy that the KL divergence is measured from, ``[N, A]``.
         log_std: Of the same policy, ``[A]``.
-        distil_target: mu^Q of equation 6 where it is learned jointly, ``[N, A]``.
     """
 
     obs: Tensor
@@ -45,22 +40,20 @@ class PolicyData:
     weight: Tensor
     mean: Tensor
     log_std: Tensor
-    distil_target: Tensor | None
 
 
 class Improvement(NamedTuple):
-    """Mean losses of the last pass, passes made, and the KL divergence after it, joint."""
+    """Mean loss of the last pass, passes made, and the KL divergence after it, joint."""
 
     policy_loss: float
-    distil_loss: float
     epochs: int
     kl: float
 
 
 def log_density(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
-    """Log density of a diagonal Gaussian: ``[M, A]``, ``[A]``, ``[M, J, A]`` to ``[M, J]``."""
-    z = (action - mean.unsqueeze(1)) * (-log_std).exp()
-    return -0.5 * z.square().sum(2) - (log_std + HALF_LOG_2PI).sum()
+    """Log density of a diagonal Gaussian: ``[M, A]``, ``[A]``, ``[M, A]`` to ``[M]``."""
+    z = (action - mean) * (-log_std).exp()
+    return -0.5 * z.square().sum(1) - (log_std + HALF_LOG_2PI).sum()
 
 
 def entropy(log_std: Tensor) -> Tensor:
@@ -75,8 +68,8 @@ def importance(log_prob: Tensor, executed_log_prob: Tensor, limit: float) -> Ten
     gradient of its density pulls wherever Q points, good or not, and shrinks the deviation.
 
     Args:
-        log_prob: Under the policy, ``[N, J]``.
-        executed_log_prob: With the selection, ``[N, J]``.
+        log_prob: Under the policy, ``[N]``.
+        executed_log_prob: With the selection, ``[N]``.
         limit: Greatest weight before they are brought to mean 1; 0: all are 1.
 
     Source: Hilton et al. 2021, "Batch size-invariance for policy optimization": the
@@ -97,18 +90,6 @@ def normalised(advantage: Tensor, weight: Tensor) -> Tensor:
     return (centred / spread.clamp(min=LEAST_WEIGHT)).to(advantage.dtype)
 
 
-def advantage_over_others(q_value: Tensor) -> Tensor:
-    """How much better each suggestion is than the mean of the others: ``[N, K]`` to ``[N, K]``.
-
-    With suggestions drawn from the policy, ``mean_k grad log pi(u_k) * advantage_k`` is an
-    unbiased policy gradient, given Q: the baseline of a suggestion does not depend on it.
-    """
-    count = q_value.shape[1]
-    if count == 1:
-        return torch.zeros_like(q_value)
-    return (q_value - q_value.mean(1, keepdim=True)) * (count / (count - 1))
-
-
 def policy_loss(
     kind: PolicyLoss,
     log_prob: Tensor,
@@ -121,14 +102,14 @@ def policy_loss(
 
     Args:
         kind: ``score`` or ``clip``.
-        log_prob: Of the present policy, ``[M, J]``.
-        old_log_prob: Of the policy before the update, ``[M, J]``; only ``clip`` reads it.
-        advantage: ``[M, J]``.
-        weight: Importance of each, ``[M, J]``.
+        log_prob: Of the present policy, ``[M]``.
+        old_log_prob: Of the policy before the update, ``[M]``; only ``clip`` reads it.
+        advantage: ``[M]``.
+        weight: Importance of each, ``[M]``.
         clip: Epsilon of ``clip``.
 
     Returns:
-        The loss, a scalar, and its derivative by ``log_prob``, ``[M, J]``.
+        The loss, a scalar, and its derivative by ``log_prob``, ``[M]``.
 
     Source: equation 4 of the paper (``score``; the authors' mean over dimensions differs by a
     factor, which Adam undoes); Schulman et al. 2017, equation 7 (``clip``).
@@ -170,20 +151,19 @@ def improve(
         generator: Draws the order, unless the whole batch is one step.
     """
     count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.least_minibatches)
-    totals, kl, passes = torch.zeros(2), 0.0, 0
+    total, kl, passes = torch.zeros(()), 0.0, 0
     while passes < hyper.policy_epochs and kl <= hyper.kl_stop:
         passes += 1
-        totals.zero_()
+        total.zero_()
         for part in _minibatches(data, count, generator):
             mean, layers = policy.trace(part.obs)
-            losses, by_mean, by_log_std = differentiate(mean, policy.log_std, part, hyper)
+            loss, by_mean, by_log_std = differentiate(mean, policy.log_std, part, hyper)
             policy.differentiate(layers, by_mean, by_log_std)
             optimiser.step(learning_rate, hyper.max_grad_norm)
             policy.hold_floor()
-            totals += losses
+            total += loss
         kl = joint_kl(policy, data)
-    gradient, distilled = (totals / count).tolist()
-    return Improvement(gradient, distilled, passes, kl)
+    return Improvement(float(total / count), passes, kl)
 
 
 @torch.no_grad()
@@ -199,24 +179,19 @@ def differentiate(
         hyper: Kinds of loss, and weights.
 
     Returns:
-        Losses of the policy gradient and, weighted, of equation 6, ``[2]``; the gradient of their
-        sum less the weighted entropy, by the mean, ``[M, A]``, and by the log deviation, ``[A]``.
+        The loss of the policy gradient, a scalar; the gradient of it less the weighted entropy, by
+        the mean, ``[M, A]``, and by the log deviation, ``[A]``.
     """
     factor = (-log_std).exp()
-    z = (part.action - mean.unsqueeze(1)) * factor
+    z = (part.action - mean) * factor
     square = z.square()
-    log_prob = -0.5 * square.sum(2) - (log_std + HALF_LOG_2PI).sum()
+    log_prob = -0.5 * square.sum(1) - (log_std + HALF_LOG_2PI).sum()
     loss, slope = policy_loss(
         hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
     )
-    steep = slope.unsqueeze(2)
-    by_mean = (steep * z).sum(1) * factor
-    by_log_std = (steep * square).sum((0, 1)) - slope.sum() - hyper.entropy_weight
-    if part.distil_target is None:
-        return torch.stack([loss, torch.zeros(())]), by_mean, by_log_std
-    extra, pull = distil_loss(hyper.distil_loss, mean, part.distil_target, log_std.exp())
-    by_mean += hyper.distil_weight * pull
-    return torch.stack([loss, hyper.distil_weight * extra]), by_mean, by_log_std
+    steep = slope.unsqueeze(1)
+    by_log_std = (steep * square).sum(0) - slope.sum() - hyper.entropy_weight
+    return loss, steep * z * factor, by_log_std
 
 
 def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> list[PolicyData]:
@@ -224,8 +199,6 @@ def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> li
     if count == 1:
         return [data]
     order = torch.randperm(len(data.obs), generator=generator)
-    target = data.distil_target
-    targets = [None] * count if target is None else target[order].tensor_split(count)
     return [
         PolicyData(
             obs=obs,
@@ -235,16 +208,14 @@ def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> li
             weight=weight,
             mean=mean,
             log_std=data.log_std,
-            distil_target=wanted,
         )
-        for obs, action, log_prob, advantage, weight, mean, wanted in zip(
+        for obs, action, log_prob, advantage, weight, mean in zip(
             data.obs[order].tensor_split(count),
             data.action[order].tensor_split(count),
             data.log_prob[order].tensor_split(count),
             data.advantage[order].tensor_split(count),
             data.weight[order].tensor_split(count),
             data.mean[order].tensor_split(count),
-            targets,
             strict=True,
         )
     ]

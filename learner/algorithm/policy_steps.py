@@ -9,7 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from a2s.learner.algorithm.policy_gradient import advantage_over_others
 from a2s.learner.algorithm.squashed import Drawn, Gaussian, log_density
 
 
@@ -18,6 +17,18 @@ class PolicyStep(NamedTuple):
 
     loss: Tensor
     grad: Tensor
+
+
+def advantage_over_others(q_value: Tensor) -> Tensor:
+    """How much better each suggestion is than the mean of the others: ``[N, K]`` to ``[N, K]``.
+
+    With suggestions drawn from the policy, ``mean_k grad log pi(u_k) * advantage_k`` is an
+    unbiased policy gradient, given Q: the baseline of a suggestion does not depend on it.
+    """
+    count = q_value.shape[1]
+    if count == 1:
+        return torch.zeros_like(q_value)
+    return (q_value - q_value.mean(1, keepdim=True)) * (count / (count - 1))
 
 
 def pathwise(

@@ -6,20 +6,18 @@ import torch
 from torch import Tensor
 
 from a2s.learner.algorithm.batch import Batch
-from a2s.learner.algorithm.distil import distil_separately, distil_target, score_in_parts
+from a2s.learner.algorithm.distil import distil_policy, distil_target
 from a2s.learner.algorithm.evidence import Evidence, q_input
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.algorithm.learned import Learned
 from a2s.learner.algorithm.policy_gradient import (
     Improvement,
     PolicyData,
-    advantage_over_others,
     importance,
     improve,
     log_density,
     normalised,
 )
-from a2s.learner.algorithm.suggestion import as_q_sees, suggest
 
 
 class PolicyNow(NamedTuple):
@@ -32,19 +30,10 @@ class PolicyNow(NamedTuple):
 class PolicyUpdate(NamedTuple):
     """What equation 6 and the policy gradient did."""
 
-    improvement: Improvement = Improvement(0.0, 0.0, 0, 0.0)
+    improvement: Improvement = Improvement(0.0, 0, 0.0)
     distil_loss: float = 0.0
     distil_steps: int = 0
     advantage_std: float = 0.0
-
-
-class _Weighed(NamedTuple):
-    """Suggestions ``[N, J, A]``; log density, advantage in returns and weight, ``[N, J]`` each."""
-
-    action: Tensor
-    log_prob: Tensor
-    advantage: Tensor
-    weight: Tensor
 
 
 @torch.no_grad()
@@ -81,16 +70,13 @@ def update_policy(
         order: Draws the minibatches of the policy gradient.
         q_order: Draws fresh suggestions, and the minibatches of equation 6.
     """
-    goal, loss, steps = None, 0.0, 0
+    loss, steps = 0.0, 0
     if distil and hyper.distil != "off":
-        goal = _goal(seen, learned, hyper, q_order)
-    if goal is not None and hyper.distil == "separate":
-        loss, steps = distil_separately(
+        loss, steps = distil_policy(
             learned.policy,
             learned.adam["distil"],
             seen,
-            goal,
-            kind=hyper.distil_loss,
+            _goal(seen, learned, hyper, q_order),
             steps=hyper.distil_steps,
             minibatch=hyper.distil_minibatch,
             kl_bound=hyper.distil_kl,
@@ -98,20 +84,19 @@ def update_policy(
             max_grad_norm=hyper.max_grad_norm,
             generator=q_order,
         )
-        goal = None
-    weighed = _weigh(batch, seen, evidence, collected, learned, hyper, q_order)
-    advantage, weight = weighed.advantage, weighed.weight
+    advantage = _advantage(batch, seen, evidence, learned, hyper)
+    log_prob = log_density(collected.mean, collected.log_std, batch.suggestion)
+    weight = importance(log_prob, batch.log_prob, hyper.weight_limit)
     if hyper.kl_scope == "policy-gradient":
         collected = policy_now(learned, batch.obs)
     data = PolicyData(
         obs=seen,
-        action=weighed.action,
-        log_prob=weighed.log_prob,
+        action=batch.suggestion,
+        log_prob=log_prob,
         advantage=normalised(advantage, weight) if hyper.normalise_advantage else advantage,
         weight=weight,
         mean=collected.mean,
         log_std=collected.log_std,
-        distil_target=goal,
     )
     improvement = improve(
         learned.policy,
@@ -122,7 +107,7 @@ def update_policy(
         generator=order,
     )
     spread = float(advantage.std(correction=0))
-    return PolicyUpdate(improvement, loss or improvement.distil_loss, steps, spread)
+    return PolicyUpdate(improvement, loss, steps, spread)
 
 
 @torch.no_grad()
@@ -142,36 +127,12 @@ def _goal(
 
 
 @torch.no_grad()
-def _weigh(
-    batch: Batch,
-    seen: Tensor,
-    evidence: Evidence,
-    collected: PolicyNow,
-    learned: Learned,
-    hyper: OnPolicyHyper,
-    generator: torch.Generator,
-) -> _Weighed:
-    """Find the suggestions that the gradient is about, and what each is worth."""
-    if hyper.advantage == "all-suggestions":
-        return _weigh_all(seen, learned, hyper, generator)
-    advantage = evidence.advantage
-    if hyper.advantage == "q-v":
-        q_value = learned.q_net.combined(learned.q_net(q_input(batch, seen, hyper)))
-        advantage = (q_value - learned.value_net(seen)) * learned.returns.std
-    action = batch.suggestion.unsqueeze(1)
-    log_prob = log_density(collected.mean, collected.log_std, action)
-    weight = importance(log_prob, batch.log_prob.unsqueeze(1), hyper.weight_limit)
-    return _Weighed(action, log_prob, advantage.unsqueeze(1), weight)
-
-
-def _weigh_all(
-    seen: Tensor, learned: Learned, hyper: OnPolicyHyper, generator: torch.Generator
-) -> _Weighed:
-    policy, count = learned.policy, max(hyper.suggestions, 2)
-    mean, log_std = policy(seen), policy.log_std
-    normal = torch.randn(len(seen), count, len(log_std), generator=generator)
-    action = suggest(mean, policy.std(), normal)
-    q_value = score_in_parts(learned.q_net, seen, as_q_sees(action, hyper.action_mode))
-    advantage = advantage_over_others(q_value) * learned.returns.std
-    log_prob = log_density(mean, log_std, action)
-    return _Weighed(action, log_prob, advantage, torch.ones_like(advantage))
+def _advantage(
+    batch: Batch, seen: Tensor, evidence: Evidence, learned: Learned, hyper: OnPolicyHyper
+) -> Tensor:
+    """What each executed suggestion is worth beyond the value of its state, in returns, ``[N]``."""
+    if hyper.advantage != "q-v":
+        return evidence.advantage
+    q_value = learned.q_net(q_input(batch, seen, hyper))
+    advantage: Tensor = (q_value - learned.value_net(seen)) * learned.returns.std
+    return advantage

@@ -65,7 +65,6 @@ class Recovery:
         episodes: Of the last so many, and undecided before there are so many; 0: of each batch.
         offset: Added to every return in the test.
         cool_down: Updates after a recovery in which there is no other.
-        best_decay: Fraction of ``r* - r`` that r* loses per update.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class Recovery:
         episodes: int,
         offset: float = 0.0,
         cool_down: int = 0,
-        best_decay: float = 0.0,
     ) -> None:
         self._rule = rule
         self._bias = bias
@@ -85,7 +83,6 @@ class Recovery:
         self._episodes = episodes
         self._offset = offset
         self._cool_down = cool_down
-        self._best_decay = best_decay
         self._returns: list[float] = []
         self._best: float | None = None
         self._first: float | None = None
@@ -142,8 +139,6 @@ class Recovery:
         self._first = r if self._first is None else self._first
         if self._best is None or improved:
             self._best = r
-        else:
-            self._best -= self._best_decay * (self._best - r)
         if recover:
             self._returns, self._waiting = [], self._cool_down
 

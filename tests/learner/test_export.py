@@ -1,6 +1,5 @@
 """The ONNX graph against the suggester it was made from."""
 
-import itertools
 import time
 from typing import Any
 
@@ -78,19 +77,11 @@ def assert_agree(suggester: Suggester, rows: int = 33) -> None:
         )
 
 
-@pytest.mark.parametrize(
-    ("mode", "activation", "layer_norm", "critics"),
-    [
-        *itertools.product(
-            ["first", "hard", "soft"], ["tanh", "silu", "relu"], [True, False], [1, 2]
-        )
-    ],
-)
-def test_graph_agrees_for_every_form_of_network(
-    mode: str, activation: str, layer_norm: bool, critics: int
-) -> None:
+@pytest.mark.parametrize("mode", ["first", "hard", "soft"])
+@pytest.mark.parametrize("layer_norm", [True, False])
+def test_graph_agrees_for_every_form_of_network(mode: str, layer_norm: bool) -> None:
     """Each form has nodes of its own."""
-    assert_agree(make(mode, activation=activation, layer_norm=layer_norm, critics=critics))
+    assert_agree(make(mode, layer_norm=layer_norm))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +90,6 @@ def test_graph_agrees_for_every_form_of_network(
         {"normalise_obs": False},
         {"learn_std": False, "std": 0.7},
         {"action_mode": "raw"},
-        {"critics": 2, "critic_score": "min"},
         {"temperature": 0.25},
         {"policy_sizes": "12", "q_sizes": "6"},
         {"policy_sizes": "12,5,4", "q_sizes": "6,5,4"},

@@ -1,7 +1,5 @@
 """The gradient that is written out is that of autograd."""
 
-import itertools
-
 import pytest
 import torch
 
@@ -10,20 +8,15 @@ from a2s.learner.algorithm.body import Body
 from a2s.learner.algorithm.optimiser import FlatParameters
 
 
-@pytest.mark.parametrize(
-    ("members", "layer_norm", "activation"),
-    list(itertools.product([1, 2], [True, False], ["tanh", "silu", "relu"])),
-)
-def test_outputs_and_gradients_are_those_of_autograd(
-    members: int, layer_norm: bool, activation: str
-) -> None:
-    hyper = presets.on_policy("modern", "a2s", {"layer_norm": layer_norm, "activation": activation})
+@pytest.mark.parametrize("layer_norm", [True, False])
+def test_outputs_and_gradients_are_those_of_autograd(layer_norm: bool) -> None:
+    hyper = presets.on_policy("modern", "a2s", {"layer_norm": layer_norm})
     generator = torch.Generator().manual_seed(1)
-    body = Body((5, 16, 8, 3), members=members, hyper=hyper, output_gain=1.0, generator=generator)
+    body = Body((5, 16, 8, 3), hyper=hyper, output_gain=1.0, generator=generator)
     parameters = FlatParameters(body)
     parameters.value.add_(0.1 * torch.randn(parameters.value.shape, generator=generator))
     x = torch.randn(7, 5, generator=generator)
-    weight = torch.randn(members, 7, 3, generator=generator)
+    weight = torch.randn(7, 3, generator=generator)
     expected = body(x)
     (expected * weight).sum().backward()
     wanted = parameters.grad.clone()

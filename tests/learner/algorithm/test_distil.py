@@ -6,7 +6,7 @@ from torch import Tensor
 
 from a2s.learner.algorithm.distil import (
     distil_loss,
-    distil_separately,
+    distil_policy,
     distil_target,
     score_in_parts,
 )
@@ -69,25 +69,20 @@ def test_scores_in_parts_are_scores() -> None:
     torch.testing.assert_close(score_in_parts(q_net, obs, action), q_net.score(obs, action))
 
 
-def test_losses_by_hand() -> None:
-    """And their gradients by the mean."""
-    mean, target, std = torch.zeros(1, 2), torch.tensor([[1.0, 2.0]]), torch.tensor([0.5, 2.0])
-    loss, pull = distil_loss("mse", mean, target, std)
+def test_loss_by_hand() -> None:
+    """And its gradient by the mean."""
+    loss, pull = distil_loss(torch.zeros(1, 2), torch.tensor([[1.0, 2.0]]))
     assert float(loss) == 2.5
     assert pull.tolist() == [[-1.0, -2.0]]
-    loss, pull = distil_loss("log-likelihood", mean, target, std)
-    assert float(loss) == 2.5  # (4 + 1) / 2
-    assert pull.tolist() == [[-4.0, -0.5]]
 
 
-@pytest.mark.parametrize("kind", ["mse", "log-likelihood"])
-def test_average_of_the_best_has_the_gradient_of_all_of_them(kind: str) -> None:
+def test_average_of_the_best_has_the_gradient_of_all_of_them() -> None:
     """So one target a step is enough."""
-    best, std = torch.randn(6, 3, 2), torch.tensor([0.4, 0.7])
+    best = torch.randn(6, 3, 2)
     gradients: list[Tensor] = []
     for goals in (best.unbind(1), [best.mean(1)]):
         mean = torch.zeros(6, 2)
-        pulls = [distil_loss(kind, mean, goal, std)[1] for goal in goals]  # type: ignore[arg-type]
+        pulls = [distil_loss(mean, goal)[1] for goal in goals]
         gradients.append(torch.stack(pulls).mean(0))
     torch.testing.assert_close(gradients[0], gradients[1])
 
@@ -98,12 +93,11 @@ def test_separate_steps_end_at_the_bound(bound: float, all_steps: bool) -> None:
     policy = Policy(4, 2, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
     obs = torch.randn(200, 4)
     before = policy(obs).detach()
-    _, made = distil_separately(
+    _, made = distil_policy(
         policy,
         Adam(FlatParameters(policy)),
         obs,
         torch.full((200, 2), 0.8),
-        kind="mse",
         steps=50,
         minibatch=64,
         kl_bound=bound,

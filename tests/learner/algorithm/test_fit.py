@@ -10,11 +10,11 @@ from a2s.learner.algorithm.fit import Regression, fit_epochs, fit_threshold, num
 from a2s.learner.algorithm.optimiser import Adam, FlatParameters
 
 
-def linear(inputs: Tensor, seed: int = 0, members: int = 1) -> Regression:
+def linear(inputs: Tensor, seed: int = 0) -> Regression:
     """Build linear networks of three inputs."""
     generator = torch.Generator().manual_seed(seed)
     hyper = presets.on_policy("modern", "a2s", {})
-    body = Body((3, 1), members=members, hyper=hyper, output_gain=1.0, generator=generator)
+    body = Body((3, 1), hyper=hyper, output_gain=1.0, generator=generator)
     return Regression(body=body, inputs=inputs, optimiser=Adam(FlatParameters(body)))
 
 
@@ -26,7 +26,7 @@ def job_of(seed: int = 0, rows: int = 96) -> tuple[Regression, Tensor]:
 
 
 def predict(job: Regression) -> Tensor:
-    """What a fitted network says of its inputs, ``[E, N]``."""
+    """What a fitted network says of its inputs, ``[N]``."""
     found, _ = job.body.trace(job.inputs)
     return found.squeeze(-1)
 
@@ -59,19 +59,6 @@ def test_loss_is_the_mean_squared_error_of_the_last_pass() -> None:
     job, target = job_of()
     expected = float((predict(job) - target).square().mean())
     assert epochs([job], target, rate=0.0) == [pytest.approx(expected, rel=1e-5)]
-
-
-def test_ensemble_members_learn_as_if_alone() -> None:
-    """The loss is summed over an ensemble, so that members do not share one gradient's size."""
-    _, target = job_of()
-    pair = linear(job_of()[0].inputs, members=2)
-    alone = [linear(pair.inputs), linear(pair.inputs)]
-    for member, one in enumerate(alone):
-        one.body.weight[0].data.copy_(pair.body.weight[0][member : member + 1])
-    losses = [epochs([one], target, 3)[0] for one in alone]
-    assert epochs([pair], target, 3) == [pytest.approx(sum(losses), rel=1e-5)]
-    for member, one in enumerate(alone):
-        torch.testing.assert_close(predict(pair)[member], predict(one)[0])
 
 
 def test_company_changes_nothing() -> None:

@@ -11,44 +11,38 @@ from a2s.learner.presets import on_policy
 
 
 def make_q(**options: object) -> Q:
-    """Build critics of four observed numbers and two actions."""
+    """Build Q of four observed numbers and two actions."""
     return Q(4, 2, on_policy("modern", "a2s", options), torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("critics", [1, 2])
 @pytest.mark.parametrize("layer_norm", [True, False])
-def test_critics_are_stacks_of_linear_norm_and_tanh(critics: int, layer_norm: bool) -> None:
-    """Each member against the same numbers in torch's own layers."""
-    q_net = make_q(critics=critics, layer_norm=layer_norm, q_sizes="5,3")
+def test_q_is_a_stack_of_linear_norm_and_tanh(layer_norm: bool) -> None:
+    """Against the same numbers in torch's own layers."""
+    q_net = make_q(layer_norm=layer_norm, q_sizes="5,3")
     with torch.no_grad():
         for parameter in q_net.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
     joint, body = torch.randn(7, 6), q_net.body
-    found = q_net(joint)
-    for member in range(critics):
-        x = joint
-        for layer in range(3):
-            x = x @ body.weight[layer][member] + body.bias[layer][member]
-            if layer < 2:
-                if layer_norm:
-                    norm = nn.LayerNorm(x.shape[1])
-                    norm.weight.data = body.gain[layer][member, 0].data
-                    norm.bias.data = body.offset[layer][member, 0].data
-                    x = norm(x)
-                x = torch.tanh(x)
-        torch.testing.assert_close(found[member], x[:, 0])
+    x = joint
+    for layer in range(3):
+        x = x @ body.weight[layer] + body.bias[layer]
+        if layer < 2:
+            if layer_norm:
+                norm = nn.LayerNorm(x.shape[1])
+                norm.weight.data = body.gain[layer].data
+                norm.bias.data = body.offset[layer].data
+                x = norm(x)
+            x = torch.tanh(x)
+    torch.testing.assert_close(q_net(joint), x[:, 0])
 
 
-@pytest.mark.parametrize(("critics", "combine"), [(1, "mean"), (2, "mean"), (2, "min")])
-def test_scores_of_many_actions_are_those_one_by_one(critics: int, combine: str) -> None:
+def test_scores_of_many_actions_are_those_one_by_one() -> None:
     """The first layer is split into observation and action."""
-    q_net = make_q(critics=critics, critic_score=combine)
+    q_net = make_q()
     obs, action = torch.randn(5, 4), torch.randn(5, 3, 2)
     found = q_net.score(obs, action)
     for k in range(3):
-        each = q_net(torch.cat([obs, action[:, k]], 1))
-        expected = each.mean(0) if combine == "mean" else each.min(0).values
-        torch.testing.assert_close(found[:, k], expected)
+        torch.testing.assert_close(found[:, k], q_net(torch.cat([obs, action[:, k]], 1)))
 
 
 def test_uniform_init_is_the_authors() -> None:
@@ -63,7 +57,7 @@ def test_uniform_init_is_the_authors() -> None:
 def test_orthogonal_init_has_its_gains() -> None:
     """Gain sqrt(2) inside, .01 at the output of the policy."""
     policy = Policy(64, 3, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
-    inner, last = policy.body.weight[1][0], policy.body.weight[2][0]
+    inner, last = policy.body.weight[1], policy.body.weight[2]
     torch.testing.assert_close(inner @ inner.T, 2.0 * torch.eye(64), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(last.T @ last, 1e-4 * torch.eye(3), atol=1e-7, rtol=0.0)
 

@@ -2,15 +2,12 @@
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch.distributions import Independent, Normal
 
 from a2s.learner.algorithm.networks import Policy
 from a2s.learner.algorithm.optimiser import Adam, FlatParameters
 from a2s.learner.algorithm.policy_gradient import (
     PolicyData,
-    advantage_over_others,
     differentiate,
     entropy,
     importance,
@@ -25,20 +22,18 @@ from a2s.learner.presets import on_policy
 
 def test_density_and_entropy_agree_with_the_textbook() -> None:
     """Against torch's distributions."""
-    mean, log_std, action = torch.randn(5, 3), torch.randn(3), torch.randn(5, 4, 3)
-    textbook = Independent(Normal(mean.unsqueeze(1), log_std.exp()), 1)
+    mean, log_std, action = torch.randn(5, 3), torch.randn(3), torch.randn(5, 3)
+    textbook = Independent(Normal(mean, log_std.exp()), 1)
     torch.testing.assert_close(log_density(mean, log_std, action), textbook.log_prob(action))  # type: ignore[no-untyped-call]
-    torch.testing.assert_close(entropy(log_std), textbook.entropy()[0, 0])  # type: ignore[no-untyped-call]
+    torch.testing.assert_close(entropy(log_std), textbook.entropy()[0])  # type: ignore[no-untyped-call]
 
 
 def test_score_loss_by_hand() -> None:
     """Equation 4."""
-    log_prob, advantage = torch.tensor([[-1.0], [-3.0]]), torch.tensor([[2.0], [-1.0]])
-    loss, slope = policy_loss(
-        "score", log_prob, torch.zeros(2, 1), advantage, torch.ones(2, 1), 0.2
-    )
+    log_prob, advantage = torch.tensor([-1.0, -3.0]), torch.tensor([2.0, -1.0])
+    loss, slope = policy_loss("score", log_prob, torch.zeros(2), advantage, torch.ones(2), 0.2)
     assert float(loss) == -0.5  # -(-2 + 3) / 2
-    assert slope.tolist() == [[-1.0], [0.5]]
+    assert slope.tolist() == [-1.0, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -53,70 +48,47 @@ def test_score_loss_by_hand() -> None:
 )
 def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: float) -> None:
     """Only gains are limited."""
-    log_prob = torch.tensor([[ratio]]).log()
-    worth = torch.tensor([[advantage]])
+    log_prob = torch.tensor([ratio]).log()
+    worth = torch.tensor([advantage])
     for weight in (1.0, 3.0):
         found, steepness = policy_loss(
-            "clip", log_prob, torch.zeros(1, 1), worth, torch.full((1, 1), weight), 0.2
+            "clip", log_prob, torch.zeros(1), worth, torch.full((1,), weight), 0.2
         )
         assert float(found) == pytest.approx(weight * loss)
         assert float(steepness) == pytest.approx(weight * slope)
 
 
-@given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
-def test_advantage_over_others_is_against_the_mean_of_the_rest(values: list[float]) -> None:
-    """By definition."""
-    found = advantage_over_others(torch.tensor([values]))[0].tolist()
-    for k, value in enumerate(values):
-        rest = values[:k] + values[k + 1 :]
-        assert found[k] == pytest.approx(value - sum(rest) / len(rest), abs=1e-3)
-
-
-def test_all_suggestions_gradient_is_that_of_the_expected_q() -> None:
-    """Q(u) = -(u - 1)^2 at mean 0, std .5: d E[Q] / d mean = 2."""
-    generator = torch.Generator().manual_seed(0)
-    mean = torch.zeros(20_000, 1, requires_grad=True)
-    log_std = torch.full((1,), 0.5).log()
-    action = 0.5 * torch.randn(20_000, 10, 1, generator=generator)
-    advantage = advantage_over_others(-(action[..., 0] - 1.0).square())
-    log_prob = log_density(mean, log_std, action)
-    weight = torch.ones_like(advantage)
-    _, slope = policy_loss("score", log_prob, log_prob.detach(), advantage, weight, 0.2)
-    (gradient,) = torch.autograd.grad(log_prob, mean, slope.detach())
-    assert float(-gradient.sum()) == pytest.approx(2.0, rel=0.02)
-
-
 def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
     """Whatever the scale of rewards; a weight of 2 counts a step twice."""
-    advantage = torch.randn(100, 1) * 7 + 3
-    found = normalised(advantage, torch.ones(100, 1))
+    advantage = torch.randn(100) * 7 + 3
+    found = normalised(advantage, torch.ones(100))
     assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
     assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
-    twice = torch.cat([torch.full((50, 1), 4 / 3), torch.full((50, 1), 2 / 3)])
-    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150, 1))
+    twice = torch.cat([torch.full((50,), 4 / 3), torch.full((50,), 2 / 3)])
+    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150))
     torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
 
 
 def test_advantages_of_any_unit_are_normalised_alike_and_equal_ones_are_0() -> None:
     """Of equal ones a tenth is no float, so that their mean is not quite what they are."""
-    advantage, weight = torch.randn(100, 1), torch.rand(100, 1) + 0.5
+    advantage, weight = torch.randn(100), torch.rand(100) + 0.5
     expected = normalised(advantage, weight)
     for unit in (2.0**-60, 2.0**-30, 2.0**40):
         torch.testing.assert_close(normalised(unit * advantage, weight), expected)
     for same in (0.0, 0.1):
-        found = normalised(torch.full((100, 1), same), torch.ones(100, 1))
-        torch.testing.assert_close(found, torch.zeros(100, 1))
+        found = normalised(torch.full((100,), same), torch.ones(100))
+        torch.testing.assert_close(found, torch.zeros(100))
 
 
 def test_weights_undo_the_selection_up_to_their_limit() -> None:
     """They have mean 1; without selection, or without a limit, they are 1."""
-    drawn = torch.tensor([[-1.0], [-2.0], [-3.0]])
-    picked = drawn + torch.tensor([[4.0], [0.5], [0.25]]).log()
+    drawn = torch.tensor([-1.0, -2.0, -3.0])
+    picked = drawn + torch.tensor([4.0, 0.5, 0.25]).log()
     torch.testing.assert_close(
-        importance(drawn, picked, 3.0), torch.tensor([[0.25], [2.0], [3.0]]) / 1.75
+        importance(drawn, picked, 3.0), torch.tensor([0.25, 2.0, 3.0]) / 1.75
     )
-    assert torch.equal(importance(drawn, drawn, 3.0), torch.ones(3, 1))
-    assert torch.equal(importance(drawn, picked, 0.0), torch.ones(3, 1))
+    assert torch.equal(importance(drawn, drawn, 3.0), torch.ones(3))
+    assert torch.equal(importance(drawn, picked, 0.0), torch.ones(3))
 
 
 @pytest.mark.parametrize("weighed", [True, False])
@@ -127,12 +99,12 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     candidate = 0.5 * torch.randn(40_000, 10, 1, generator=generator)
     uniform = torch.rand(40_000, 10, generator=generator)
     index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 1.0)
-    action = take(candidate, index).unsqueeze(1)
+    action = take(candidate, index)
     log_prob = log_density(mean, log_std, action)
-    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0).unsqueeze(1)
+    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
     drawn = log_prob.detach()
-    _, slope = policy_loss("clip", drawn, drawn, torch.ones(40_000, 1), weight, 0.2)
+    _, slope = policy_loss("clip", drawn, drawn, torch.ones(40_000), weight, 0.2)
     (gradient,) = torch.autograd.grad(log_prob, mean, slope)
     if weighed:
         assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
@@ -145,54 +117,43 @@ def data_of(policy: Policy, rows: int = 400) -> PolicyData:
     obs = torch.randn(rows, 4)
     with torch.no_grad():
         mean = policy(obs)
-    action = mean.unsqueeze(1) + policy.std().detach() * torch.randn(rows, 1, 2)
+    action = mean + policy.std().detach() * torch.randn(rows, 2)
     return PolicyData(
         obs=obs,
         action=action,
         log_prob=log_density(mean, policy.log_std.detach(), action),
-        advantage=normalised(action[..., 0], torch.ones(rows, 1)),
-        weight=torch.ones(rows, 1),
+        advantage=normalised(action[..., 0], torch.ones(rows)),
+        weight=torch.ones(rows),
         mean=mean,
         log_std=policy.log_std.detach().clone(),
-        distil_target=None,
     )
 
 
 @pytest.mark.parametrize("loss", ["score", "clip"])
-@pytest.mark.parametrize("distil", ["mse", "log-likelihood", None])
-def test_gradient_is_that_of_autograd(loss: str, distil: str | None) -> None:
+def test_gradient_is_that_of_autograd(loss: str) -> None:
     """Of both losses and the entropy, written out once more from their definitions."""
-    hyper = on_policy(
-        "modern", "a2s", {"policy_loss": loss, "entropy_weight": 0.1, "distil_weight": 0.3}
-        | ({"distil_loss": distil} if distil else {}),
-    )  # fmt: skip
+    hyper = on_policy("modern", "a2s", {"policy_loss": loss, "entropy_weight": 0.1})
     generator = torch.Generator().manual_seed(0)
     mean = torch.randn(50, 2, generator=generator, requires_grad=True)
     log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
-    action = mean.detach().unsqueeze(1) + torch.randn(50, 3, 2, generator=generator) * 0.5
+    action = mean.detach() + torch.randn(50, 2, generator=generator) * 0.5
     log_prob = log_density(mean, log_std, action)
-    target = torch.randn(50, 2, generator=generator) if distil else None
     part = PolicyData(
         obs=torch.zeros(50, 1),
         action=action,
-        log_prob=log_prob.detach() + 0.3 * torch.randn(50, 3, generator=generator),
-        advantage=torch.randn(50, 3, generator=generator),
-        weight=torch.rand(50, 3, generator=generator),
+        log_prob=log_prob.detach() + 0.3 * torch.randn(50, generator=generator),
+        advantage=torch.randn(50, generator=generator),
+        weight=torch.rand(50, generator=generator),
         mean=mean.detach(),
         log_std=log_std.detach(),
-        distil_target=target,
     )
     ratio = (log_prob - part.log_prob).exp()
     gain = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
     gain = gain if loss == "clip" else log_prob * part.advantage
-    losses = [-(part.weight * gain).mean(), torch.zeros(())]
-    if target is not None:
-        scale = log_std.detach().exp()
-        error = (mean - target).square() / (1.0 if distil == "mse" else 2 * scale.square())
-        losses[1] = 0.3 * (error.mean() if distil == "mse" else error.sum(1).mean())
-    torch.autograd.backward(losses[0] + losses[1] - 0.1 * entropy(log_std))
+    expected = -(part.weight * gain).mean()
+    torch.autograd.backward(expected - 0.1 * entropy(log_std))
     found, by_mean, by_log_std = differentiate(mean.detach(), log_std.detach(), part, hyper)
-    torch.testing.assert_close(found, torch.stack(losses).detach())
+    torch.testing.assert_close(found, expected.detach())
     torch.testing.assert_close(by_mean, mean.grad)
     torch.testing.assert_close(by_log_std, log_std.grad)
 
@@ -226,7 +187,7 @@ def test_std_is_held_at_its_floor() -> None:
     hyper = on_policy("modern", "a2s", {"std": 0.5, "std_floor": 0.499})
     policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
     data = data_of(policy)
-    narrow = -(data.action - data.mean.unsqueeze(1)).square().sum(2)
+    narrow = -(data.action - data.mean).square().sum(1)
     adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
     narrower = PolicyData(
         obs=data.obs,
@@ -236,7 +197,6 @@ def test_std_is_held_at_its_floor() -> None:
         weight=data.weight,
         mean=data.mean,
         log_std=data.log_std,
-        distil_target=None,
     )
     improve(policy, adam, narrower, hyper, learning_rate=1e-2, generator=generator)
     torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))

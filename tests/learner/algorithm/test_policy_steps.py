@@ -2,10 +2,21 @@
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
-from a2s.learner.algorithm.policy_steps import distil, pathwise, score
+from a2s.learner.algorithm.policy_steps import advantage_over_others, distil, pathwise, score
 from a2s.learner.algorithm.squashed import Gaussian, draw, gaussian, log_density
+
+
+@given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
+def test_advantage_over_others_is_against_the_mean_of_the_rest(values: list[float]) -> None:
+    """By definition."""
+    found = advantage_over_others(torch.tensor([values]))[0].tolist()
+    for k, value in enumerate(values):
+        rest = values[:k] + values[k + 1 :]
+        assert found[k] == pytest.approx(value - sum(rest) / len(rest), abs=1e-3)
 
 
 def worth(action: Tensor) -> Tensor:

@@ -21,7 +21,6 @@ def authors(bias: float = 0.65, **options: float) -> Recovery:
         episodes=0,
         offset=options.get("offset", 0.0),
         cool_down=int(options.get("cool_down", 0)),
-        best_decay=options.get("best_decay", 0.0),
     )
 
 
@@ -88,14 +87,6 @@ def test_cool_down_spares_the_updates_after_a_recovery() -> None:
     rule.judge([100.0], 0.0)
     recovered = [rule.judge([-1.0], 0.5).recover for _ in range(7)]
     assert recovered == [True, False, False, True, False, False, True]
-
-
-def test_best_return_decays_towards_the_present() -> None:
-    """A lucky best does not rule for ever."""
-    rule = authors(1.0, best_decay=0.25)
-    rule.judge([100.0], 0.0)
-    assert rule.judge([20.0], 0.0).r_best == 100.0
-    assert rule.judge([20.0], 0.0).r_best == 80.0  # 100 - 80/4
 
 
 def test_invariant_gap_is_the_fraction_lost() -> None:
