@@ -19,7 +19,7 @@ from a2s.learner import off_policy_presets, presets
 from a2s.learner.algorithm.hyperparameters import OnPolicyHyper
 from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
 from a2s.learner.numerals import whole
-from a2s.learner.other_names import OFF_POLICY, ON_POLICY, RUN, meant
+from a2s.learner.other_names import OFF_POLICY, ON_POLICY, RUN, meant, without_removed
 from a2s.learner.presets import Choice
 from a2s.protocol.env_config import TIMEOUT_S, EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
@@ -176,6 +176,8 @@ class Configuration:
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read the two tables of a configuration file; either may be missing or incomplete.
 
+    Hyperparameters that are gone are left out where their value changed nothing.
+
     Raises:
         UsageError: The file cannot be read, or has an unknown table or option, or
             something else for a table.
@@ -196,7 +198,7 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
-    return run, hyper
+    return run, without_removed(hyper, _hyperparameters(run.get("variant", "on-policy")))
 
 
 def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:
@@ -207,14 +209,18 @@ def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> N
     """
     if variant not in get_args(Variant):
         return  # and that is what is wrong
-    off = variant == "off-policy"
-    valid = {field.name for field in fields(OffPolicyHyper if off else OnPolicyHyper)}
-    others = OFF_POLICY if off else ON_POLICY
+    valid = _hyperparameters(variant)
+    others = OFF_POLICY if variant == "off-policy" else ON_POLICY
     for name in hyper:
         if name not in valid:
             raise UsageError(
                 f"{path}: unknown hyperparameter {name!r} in [hyper]{meant(name, valid, others)}"
             )
+
+
+def _hyperparameters(variant: object) -> set[str]:
+    hyper = OffPolicyHyper if variant == "off-policy" else OnPolicyHyper
+    return {field.name for field in fields(hyper)}
 
 
 def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:

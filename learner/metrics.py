@@ -170,7 +170,6 @@ class LearnerMetrics:
         for network in ("q", "policy"):
             self.gradient_steps.labels(network=network).inc(gradient_steps)
             self.loss.labels(loss=network).set(row[f"{network}_loss"])
-        self.loss.labels(loss="distil").set(row["distil_loss"])
         self.entropy.set(row["entropy"])
         self.temperature.set(row["temperature"])
         self.q_mean.set(row["q_mean"])

@@ -30,7 +30,6 @@ class _Kind(NamedTuple):
     suggestions: int
     mode: str
     normalises: bool
-    optimistic: bool
 
 
 def export(
@@ -53,7 +52,6 @@ def export(
         suggestions=suggester.suggestions,
         mode=suggester.mode,
         normalises=suggester.normaliser.enabled,
-        optimistic=suggester.optimism != 0.0,
     )
     own = own_metadata(suggester, policy.sizes[0], weights_version)
     return fill(_template(kind), _numbers(suggester), {**metadata, **own})
@@ -91,10 +89,8 @@ def _numbers(suggester: OffPolicySuggester) -> Numbers:
         numbers |= {f"{name}.obs": first[:split], f"{name}.action": first[split:]}
     if suggester.mode == "soft":
         numbers["temperature"] = as_array(suggester.temperature)
-        numbers["choosy"] = constant(suggester.choosy)
         numbers["log_k"] = constant([math.log(suggester.suggestions)])
-    numbers["return_size"] = as_array(suggester.return_size)
-    return numbers | {"optimism": constant(suggester.optimism)}
+    return numbers | {"return_size": as_array(suggester.return_size)}
 
 
 def _network_numbers(name: str, ensemble: Ensemble, member: int) -> Numbers:
@@ -157,11 +153,6 @@ class _Suggester:
         found = [self.critic(f"q{m}", seen, action) for m in range(self.kind.critics)]
         every = self.add("Mul", self.add("Concat", *found, axis=2), "return_size")
         mean = self.add("ReduceMean", every, "axis_2", keepdims=1)
-        if self.kind.optimistic:
-            away = self.add("Sub", every, mean)
-            variance = self.add("ReduceMean", self.add("Mul", away, away), "axis_2", keepdims=1)
-            bonus = self.add("Mul", self.add("Sqrt", variance), "optimism")
-            mean = self.add("Add", mean, bonus)
         return self.add("Squeeze", mean, "axis_2")
 
     def suggest(self) -> None:
@@ -195,7 +186,6 @@ class _Suggester:
         square = self.add("ReduceSumSquare", "gumbel", "axis_1", keepdims=1)
         correction = self.add("Mul", density, self.add("Sign", square))
         logit = self.add("Sub", self.add("Div", score, "temperature"), correction)
-        logit = self.add("Mul", logit, "choosy")
         whole = self.add("ReduceLogSumExp", logit, "axis_1", keepdims=1)
         preference = self.add("Add", self.add("Sub", logit, whole), "log_k")
         return self.add("Add", logit, "gumbel"), self.add("Add", density, preference)

@@ -125,10 +125,9 @@ class OffPolicyLearning:
         self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
     ) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
+        del progress
         warms_up = self._updates == 0
-        suggester = self._algorithm.suggester(
-            *self._bounds, progress=progress, warms_up=warms_up, averaged=to_keep
-        )
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=to_keep)
         return export(suggester, version, metadata)
 
     def keep(self, segment: Segment) -> None:

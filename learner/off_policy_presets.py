@@ -21,7 +21,6 @@ _BOX = "paper, algorithm 2"
 _SAC = "SAC (Haarnoja et al. 2018), table 1"
 _FASTER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008"
 _UNUSED = "not used here"
-_OURS = "ours, to be tuned"
 _FASTEST = "fastest"
 _BF16_FLAGS = {"avx512_bf16", "amx_bf16"}
 _WARM_UP_PART = 10
@@ -30,8 +29,6 @@ _TQC = "TQC (Kuznetsov et al. 2020), section 4; docs/adr/0009"
 _MODERN: dict[str, Choice] = {
     "act_suggestions": Choice(10, _PAPER),
     "selection": Choice("soft", "hard ones explore too little; docs/adr/0011"),
-    "selection_fades": Choice(False, "too few probes to tell; benchmarks/off_policy/probes.md"),
-    "optimism": Choice(0.0, "no gain in probes; docs/adr/0008"),
     "target_suggestions": Choice(1, "4 cost a quarter and gained nothing; docs/adr/0008"),
     "target_groups": Choice(1, "a batch is a mean already"),
     "selector": Choice("one", "the maximum of what also evaluates is biased upwards"),
@@ -50,9 +47,7 @@ _MODERN: dict[str, Choice] = {
         _FASTEST, "of this machine: bf16 if the processor multiplies it (AVX-512, AMX)"
     ),
     "policy_loss": Choice("pathwise", _SAC),
-    "distil_weight": Choice(0.0, "no gain in probes; docs/adr/0008"),
-    "distil_suggestions": Choice(4, "where distil_weight is not 0"),
-    "distil_top": Choice(1, "paper, equation 6"),
+    "distil_suggestions": Choice(4, "where policy_loss is score"),
     "entropy_per_action": Choice(-1.0, _SAC),
     "initial_temperature": Choice(0.01, "SimbaV2 (Lee et al. 2025); docs/adr/0012"),
     "temperature_learning_rate": Choice(3e-4, "SAC; 1e-3 explores too little; docs/adr/0014"),
@@ -64,7 +59,6 @@ _MODERN: dict[str, Choice] = {
     "updates_per_step": Choice(1.0, _SAC),
     "learning_rate": Choice(1e-3, _FASTER),
     "critic_learning_rate": Choice(1e-3, _FASTER),
-    "weight_decay": Choice(0.0, _OURS),
     "warm_up_steps": Choice(5000, "CleanRL; REDQ (Chen et al. 2021)"),
     "replay_rows": Choice(1_000_000, _SAC),
     "prioritised": Choice(False, "large errors of a maximum are its optimism too"),
@@ -107,7 +101,6 @@ _PAPER_TEXT: dict[str, Choice] = _MODERN | {
     "layer_norm": Choice(True, "authors' code"),
     "precision": Choice("f32", "networks too small to gain"),
     "policy_loss": Choice("score", _BOX),
-    "distil_weight": Choice(0.0, _BOX),
     "distil_suggestions": Choice(10, "V is the mean of Q over K suggestions"),
     "entropy_per_action": Choice(-1.0, _UNUSED),
     "initial_temperature": Choice(0.0, _BOX),

@@ -1,11 +1,13 @@
-"""What other libraries call our settings, so that who comes from there finds them.
+"""What other libraries call our settings, and which are gone, so that who has them is told.
 
-Only what means the same is in the tables, though a count may be of one environment there, and of
-all of them here. Stable-Baselines3's ``train_freq`` and ``target_entropy`` are not: they are in
-other units than ``updates_per_step`` and ``entropy_per_action``.
+Only what means the same in other libraries is in their tables, though a count may be of one
+environment there, and of all of them here. Stable-Baselines3's ``train_freq`` and
+``target_entropy`` are not: they are in other units than ``updates_per_step`` and
+``entropy_per_action``.
 """
 
 from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 from a2s.protocol.errors import nearest
 
@@ -72,6 +74,38 @@ RUN = {
 }
 
 
+class Removed(NamedTuple):
+    """A hyperparameter that is gone: the value that does what is done now, and why it went."""
+
+    neutral: object
+    reason: str
+
+
+_NOTHING = "it brought nothing; docs/adr/0008"
+# One of these may still be of the other variant.
+REMOVED = {
+    "optimism": Removed(0, _NOTHING),
+    "distil_weight": Removed(0, _NOTHING),
+    "distil_top": Removed(1, _NOTHING),
+    "selection_fades": Removed(False, "off-policy it was not shown to bring anything"),
+    "weight_decay": Removed(0, "every preset had 0"),
+}
+
+
+def without_removed(given: Mapping[str, object], valid: Collection[str]) -> dict[str, object]:
+    """What an older version wrote down, without what is gone and changed nothing.
+
+    Args:
+        given: Values by name.
+        valid: All names that there are.
+    """
+    return {
+        name: value
+        for name, value in given.items()
+        if name in valid or name not in REMOVED or value != REMOVED[name].neutral
+    }
+
+
 def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
     """Say which name is meant by a wrong one.
 
@@ -82,10 +116,13 @@ def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
 
     Returns:
         ``" (here it is 'replay_rows')"``; for a hyperparameter that is none here
-        ``" (here it is the option --envs)"``; else what `nearest` says.
+        ``" (here it is the option --envs)"``; for one that is gone ``" (removed: ...)"``; else
+        what `nearest` says.
     """
     if name in others:
         return f" (here it is {others[name]!r})"
     if name in RUN:
         return f" (here it is the option --{RUN[name].replace('_', '-')})"
+    if name in REMOVED:
+        return f" (removed: {REMOVED[name].reason})"
     return nearest(name, valid)

@@ -6,7 +6,7 @@ import io
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -111,7 +111,7 @@ class RunDirectory:
 
     Args:
         path: The directory; made when it is not there.
-        update_columns: Columns of ``updates.csv``.
+        update_columns: Columns of ``updates.csv``; one that is there keeps its own.
         clock: Seconds since the run began, those before a resume included.
 
     Raises:
@@ -123,16 +123,16 @@ class RunDirectory:
     ) -> None:
         self.path = path
         self._clock = clock
-        self._update_columns = update_columns
         self._starts = _read_starts(path / "generation")
         with _writing(path):
             path.mkdir(parents=True, exist_ok=True)
             self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
-            self._metric_names = _names_of_metrics(path / "episodes.csv")
+            self._metric_names = _header(path / "episodes.csv")[len(EPISODE_COLUMNS) :]
             self._updates = self._open_table("updates.csv", update_columns)
+            self._update_columns = _header(path / "updates.csv")
             self._events = (path / "events.jsonl").open("a", buffering=1)
 
-    def _open_table(self, name: str, columns: tuple[str, ...]) -> IO[str]:
+    def _open_table(self, name: str, columns: Sequence[str]) -> IO[str]:
         path = self.path / name
         whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
         file = path.open("a", newline="", buffering=1)
@@ -202,7 +202,8 @@ class RunDirectory:
     def update(self, row: Mapping[str, object]) -> None:
         """Append to ``updates.csv``."""
         with _writing(self._updates.name):
-            csv.writer(self._updates).writerow([_short(row[c]) for c in self._update_columns])
+            values = [_short(row.get(column)) for column in self._update_columns]
+            csv.writer(self._updates).writerow(values)
 
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
@@ -247,8 +248,7 @@ def column_of(metric: str) -> str:
     return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
 
 
-def _names_of_metrics(episodes: Path) -> list[str]:
-    """Read which columns a table of episodes has after the usual ones."""
-    with episodes.open(newline="") as file:
-        header = next(csv.reader(file), [])
-    return header[len(EPISODE_COLUMNS) :]
+def _header(table: Path) -> list[str]:
+    """Read which columns a table has."""
+    with table.open(newline="") as file:
+        return next(csv.reader(file), [])

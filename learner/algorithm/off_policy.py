@@ -1,9 +1,9 @@
 """Off-policy A2S: one update from one batch of a replay.
 
-With one suggestion, one group and no distillation it is SAC (Haarnoja et al. 2018), number for
+With one suggestion and one group it is SAC (Haarnoja et al. 2018), number for
 number.
 
-Source: equations 6, 7, 8 and algorithm 2 of the paper.
+Source: equations 7, 8 and algorithm 2 of the paper.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from a2s.learner.algorithm.off_policy_suggester import (
     OffPolicySuggester,
     OffPolicySuggesterMode,
 )
-from a2s.learner.algorithm.policy_steps import PolicyStep, distil, pathwise, score
+from a2s.learner.algorithm.policy_steps import PolicyStep, pathwise, score
 from a2s.learner.algorithm.squashed import (
     Drawn,
     Gaussian,
@@ -32,7 +32,6 @@ from a2s.learner.algorithm.squashed import (
     gaussian,
     log_density,
 )
-from a2s.learner.algorithm.suggestion import choosiness
 from a2s.learner.algorithm.transitions import Transitions
 
 
@@ -42,7 +41,6 @@ class OffPolicyStats(NamedTuple):
     Attributes:
         q_loss: Of the critics, summed over them, in units of `ReturnSize`, ``[]``.
         policy_loss: Of the policy gradient, in the same units, ``[]``.
-        distil_loss: Of equation 6, not weighted, ``[]``.
         q_mean: Mean of the critics on the batch before the update, in returns, ``[]``.
         target_mean: Mean of the targets, in returns, ``[]``.
         entropy: Of the policy, estimated from one suggestion a state, nats, ``[]``.
@@ -52,7 +50,6 @@ class OffPolicyStats(NamedTuple):
 
     q_loss: Tensor
     policy_loss: Tensor
-    distil_loss: Tensor
     q_mean: Tensor
     target_mean: Tensor
     entropy: Tensor
@@ -119,7 +116,6 @@ class OffPolicy:
         action_low: Tensor,
         action_high: Tensor,
         *,
-        progress: float = 0.0,
         warms_up: bool = False,
         averaged: bool = False,
     ) -> OffPolicySuggester:
@@ -128,7 +124,6 @@ class OffPolicy:
         Args:
             action_low: Of the environment, float32 ``[A]``.
             action_high: Of the environment, float32 ``[A]``.
-            progress: Fraction of the run that is done, 0..1; only ``selection_fades`` reads it.
             warms_up: Act at random: nothing is learned yet.
             averaged: By the average of the policy over time, to be kept and used.
         """
@@ -143,9 +138,7 @@ class OffPolicy:
             action_high=action_high,
             mode=self.hyper.selection if picks else unjudged,
             suggestions=self.hyper.act_suggestions if picks else 1,
-            optimism=self.hyper.optimism,
             temperature=self.learned.log_temperature.exp() * return_size,
-            choosy=choosiness(progress, fades=self.hyper.selection_fades),
             return_size=return_size,
         )
 
@@ -170,11 +163,8 @@ class OffPolicy:
         self._learn_temperature(drawn.log_prob)
         target = self._target(batch, next_obs, noise, temperature)
         fit, q_mean = self._learn_critics(obs, batch, target)
-        moved, distilled = self._policy_steps(obs, policy, drawn, noise, temperature)
-        grad = moved.grad
-        if distilled is not None:
-            grad = grad + self.hyper.distil_weight * distilled.grad
-        learned.policy.differentiate(tape, grad.unsqueeze(0))
+        moved = self._policy_step(obs, policy, drawn, noise, temperature)
+        learned.policy.differentiate(tape, moved.grad.unsqueeze(0))
         learned.adam["policy"].step(learned.policy.grad)
         learned.policy.refresh()
         learned.follow()
@@ -183,7 +173,6 @@ class OffPolicy:
         return OffPolicyStats(
             q_loss=fit.loss,
             policy_loss=moved.loss,
-            distil_loss=distilled.loss if distilled is not None else torch.zeros_like(moved.loss),
             q_mean=q_mean * return_size,
             target_mean=target.mean() * return_size,
             entropy=-drawn.log_prob.mean(),
@@ -258,20 +247,16 @@ class OffPolicy:
         critics.refresh()
         return fit, q_value.mean()
 
-    def _policy_steps(
+    def _policy_step(
         self, obs: Tensor, policy: Gaussian, drawn: Drawn, noise: Noise, temperature: Tensor
-    ) -> tuple[PolicyStep, PolicyStep | None]:
-        """The policy gradient, and equation 6 where it has any weight, by the learned critics."""
-        hyper, distilled = self.hyper, None
-        if hyper.weighs_several:
+    ) -> PolicyStep:
+        """The policy gradient by the learned critics."""
+        if self.hyper.policy_loss == "score":
             several = draw_several(policy, noise.distil).tanh()
             q_value = self._select(obs, several[None], noise.critic[-1:])[0]
-            if hyper.distil_weight > 0:
-                distilled = distil(policy, noise.distil, q_value, hyper.distil_top)
-            if hyper.policy_loss == "score":
-                return score(policy, noise.distil, q_value, temperature), distilled
+            return score(policy, noise.distil, q_value, temperature)
         value, by_action = self._value_of(obs, drawn.action)
-        return pathwise(policy, drawn, value, by_action, temperature), distilled
+        return pathwise(policy, drawn, value, by_action, temperature)
 
     def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.

@@ -21,7 +21,6 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "target_suggestions": (1, 1024),
     "target_groups": (1, 1024),
     "distil_suggestions": (1, 1024),
-    "distil_top": (1, 1024),
     "critics": (1, 64),
     "quantiles": (1, 1024),
     "dropped_quantiles": (0, 1023),
@@ -34,15 +33,12 @@ _INTEGERS: dict[str, tuple[int, float]] = {
     "lead_steps": (1, math.inf),
 }
 _NUMBERS: dict[str, tuple[float, float]] = {
-    "optimism": (-1e3, 1e3),
-    "distil_weight": (0.0, 1e6),
     "gamma": (1e-6, 1.0),
     "tau": (1e-6, 1.0),
     "updates_per_step": (1e-6, 1e3),
     "learning_rate": (1e-12, 1e3),
     "critic_learning_rate": (1e-12, 1e3),
     "temperature_learning_rate": (0.0, 1e3),
-    "weight_decay": (0.0, 1e3),
     "huber_width": (1e-9, 1e9),
     "initial_temperature": (0.0, 1e6),
     "entropy_per_action": (-1e3, 1e3),
@@ -63,10 +59,6 @@ class OffPolicyHyper:
     """K_act, actions among which Q picks what is executed, at least 1."""
     selection: Selection
     """``hard``: the largest score; ``soft``: drawn, as if from the Boltzmann distribution of Q."""
-    selection_fades: bool
-    """``soft`` chances even out as the run goes on: their power is 1 - progress."""
-    optimism: float
-    """Beta: what is executed has the largest mean of the critics plus this times their spread."""
     target_suggestions: int
     """K_target, suggestions of each group in the next state, equation 7."""
     target_groups: int
@@ -104,12 +96,8 @@ class OffPolicyHyper:
 
     policy_loss: OffPolicyLoss
     """``pathwise``: along the gradient of Q; ``score``: log-density times advantage."""
-    distil_weight: float
-    """Of equation 6 beside the policy gradient; 0: off."""
     distil_suggestions: int
-    """K_distil, fresh suggestions per observation for equation 6 and for the loss ``score``."""
-    distil_top: int
-    """Equation 6 moves the mean towards this many best of them."""
+    """K_distil, fresh suggestions per observation for the loss ``score``."""
     entropy_per_action: float
     """Wanted entropy of the policy per action dimension, nats."""
     initial_temperature: float
@@ -133,8 +121,6 @@ class OffPolicyHyper:
     """Of Adam on the policy."""
     critic_learning_rate: float
     """Of Adam on the critics."""
-    weight_decay: float
-    """Decoupled, of policy and critics, in units of their learning rates."""
 
     warm_up_steps: int
     """Environment steps with uniform random actions, before the first update."""
@@ -154,7 +140,6 @@ class OffPolicyHyper:
     def __post_init__(self) -> None:
         """Check every value, then those that depend on each other."""
         check(self, _INTEGERS, _NUMBERS)
-        check_most("distil_top", self.distil_top, "distil_suggestions", self.distil_suggestions)
         check_most("batch_rows", self.batch_rows, "replay_rows", self.replay_rows)
         for other in ("lead_steps", "replay_rows"):
             check_most("send_every_steps", self.send_every_steps, other, getattr(self, other))
@@ -170,8 +155,3 @@ class OffPolicyHyper:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
         if self.policy_loss == "score" and self.distil_suggestions == 1:
             refuse("distil_suggestions", 1, "at least 2 with policy_loss score")
-
-    @property
-    def weighs_several(self) -> bool:
-        """Whether learning the policy takes several suggestions a state."""
-        return self.distil_weight > 0 or self.policy_loss == "score"

@@ -62,13 +62,12 @@ class OffPolicyLearned:
         self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
         self.learns_temperature = hyper.temperature_learning_rate > 0
         rates = {
-            "policy": (self.policy.value, hyper.learning_rate, hyper.weight_decay),
-            "critics": (self.critics.value, hyper.critic_learning_rate, hyper.weight_decay),
-            "temperature": (self.log_temperature, hyper.temperature_learning_rate, 0.0),
+            "policy": (self.policy.value, hyper.learning_rate),
+            "critics": (self.critics.value, hyper.critic_learning_rate),
+            "temperature": (self.log_temperature, hyper.temperature_learning_rate),
         }
         self.adam = {
-            name: FusedAdam(value, learning_rate=rate, weight_decay=decay)
-            for name, (value, rate, decay) in rates.items()
+            name: FusedAdam(value, learning_rate=rate) for name, (value, rate) in rates.items()
         }
 
     def follow(self) -> None:

@@ -15,8 +15,8 @@ class Noise(NamedTuple):
         suggestion: Standard normal, for the suggestion that the pathwise gradient moves,
             ``[B, A]``.
         target: Standard normal, for the suggestions in the next states, ``[N, B, K_target, A]``.
-        distil: Standard normal, for those of equation 6 or of the loss ``score``, ``[B, K, A]``;
-            K is 0 where nothing reads them.
+        distil: Standard normal, for those of the loss ``score``, ``[B, K, A]``; K is 0 where
+            nothing reads them.
         critic: Number of the online critic that selects: in each group, then among ``distil``,
             int64 ``[N + 1]``.
     """
@@ -32,6 +32,7 @@ def draw_noise(
 ) -> Noise:
     """Draw the noise of an update of B = ``rows`` rows."""
     groups = hyper.target_groups
+    several = hyper.distil_suggestions if hyper.policy_loss == "score" else 0
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(shape, generator=generator)
@@ -39,6 +40,6 @@ def draw_noise(
     return Noise(
         suggestion=normal(rows, action_size),
         target=normal(groups, rows, hyper.target_suggestions, action_size),
-        distil=normal(rows, hyper.distil_suggestions if hyper.weighs_several else 0, action_size),
+        distil=normal(rows, several, action_size),
         critic=torch.randint(hyper.critics, (groups + 1,), generator=generator),
     )

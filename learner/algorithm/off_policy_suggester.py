@@ -40,10 +40,7 @@ class OffPolicySuggester:
             that is a draw from the Boltzmann distribution of the scores, to which SAC's policy
             is fitted, and so no less random than the policy is to be (docs/adr/0011).
         suggestions: K; 1 but in the modes ``hard`` and ``soft``.
-        optimism: Beta: a score is the mean of the critics plus this times their standard
-            deviation (over the critics that there are: half the difference of two).
         temperature: Of ``soft``, in returns, ``[]``.
-        choosy: Power of the chances of ``soft``, above 0: 1 is as said, 0 is no choice at all.
         return_size: What the critics are in units of, ``[]``.
     """
 
@@ -57,9 +54,7 @@ class OffPolicySuggester:
         action_high: Tensor,
         mode: OffPolicySuggesterMode,
         suggestions: int,
-        optimism: float,
         temperature: Tensor,
-        choosy: float,
         return_size: Tensor,
     ) -> None:
         if mode in ("uniform", "first") and suggestions != 1:
@@ -71,9 +66,7 @@ class OffPolicySuggester:
         self.action_high = action_high.float()
         self.mode: OffPolicySuggesterMode = mode
         self.suggestions = suggestions
-        self.optimism = optimism
         self.temperature = temperature
-        self.choosy = choosy
         self.return_size = return_size
 
     @torch.no_grad()
@@ -104,7 +97,7 @@ class OffPolicySuggester:
             if gumbel is None:
                 gumbel = torch.zeros_like(score)
             is_drawn = gumbel.square().sum(1, keepdim=True).sign()
-            score = self.choosy * (score / self.temperature - is_drawn * log_prob)
+            score = score / self.temperature - is_drawn * log_prob
             log_prob = log_prob + score.log_softmax(1) + math.log(self.suggestions)
             score = score + gumbel
         u, chosen = pick_best(score, u, log_prob.unsqueeze(2))
@@ -115,7 +108,7 @@ class OffPolicySuggester:
         return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def score(self, seen: Tensor, action: Tensor) -> Tensor:
-        """Optimistic scores, in returns, of normalised and canonical: ``[B, K]``.
+        """Means of the critics, in returns, of normalised and canonical: ``[B, K]``.
 
         Args:
             seen: ``[B, D]``.
@@ -124,8 +117,7 @@ class OffPolicySuggester:
         form, weights = _in_float32(self.critics)
         shared = action.expand(self.critics.members, *action.shape)
         q_value = score_many(form, weights, seen, shared).mean(-1) * self.return_size
-        spread = (q_value - q_value.mean(0)).square().mean(0).sqrt()
-        return q_value.mean(0) + self.optimism * spread
+        return q_value.mean(0)
 
     def to_env(self, suggestion: Tensor) -> Tensor:
         """Canonical suggestions in the environment's units, within its bounds: ``[B, A]``."""

@@ -1,7 +1,7 @@
 """Gradients that move the policy of off-policy A2S, each by the output of its network.
 
 Source: SAC (Haarnoja et al. 2018), equation 9, for `pathwise`; equations 3 and 4 of the paper for
-`score`; equation 6 for `distil`.
+`score`.
 """
 
 from typing import NamedTuple
@@ -68,19 +68,3 @@ def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor
     by_log_std = -(pull * (normal.square() - 1.0)).sum(1) * policy.free
     grad = torch.cat([by_mean, by_log_std], dim=-1)
     return PolicyStep(-(advantage * log_prob).mean(), grad)
-
-
-def distil(policy: Gaussian, normal: Tensor, q_value: Tensor, top: int) -> PolicyStep:
-    """Raise the log likelihood, as a function of the mean alone, of the best suggestions.
-
-    Args:
-        policy: Of the states.
-        normal: Noise of K suggestions, ``[B, K, A]``.
-        q_value: Their values, ``[B, K]``.
-        top: So many count, all alike.
-    """
-    best = q_value.topk(top, dim=1).indices.unsqueeze(-1)
-    wanted = normal.gather(1, best.expand(-1, -1, normal.shape[-1])).mean(1)
-    pull = -wanted * (-policy.log_std).exp() / len(wanted)
-    loss = 0.5 * wanted.square().sum(-1).mean()
-    return PolicyStep(loss, torch.cat([pull, torch.zeros_like(pull)], dim=-1))

@@ -12,7 +12,7 @@ class UpdateStats:
     Attributes:
         num_steps: Steps of the batch.
         policy_loss: Of the policy gradient, mean of the last pass.
-        distil_loss: Of equation 6, weighted where it is joint.
+        distil_loss: Of equation 6.
         q_loss: Mean squared error of Q, in normalised returns.
         value_loss: Of V.
         q_fit_steps: Gradient steps of Q.

@@ -84,12 +84,14 @@ def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
-    """Weights that decay by a hundred times their size change sign and grow a hundredfold.
+    """A temperature that grows by a factor of e^1000 is none after one update.
 
     The run can be resumed from what it began with, as after a kill before its first round.
     """
     with pytest.raises(A2SError, match="update 100: found non-finite weights"):
-        learner(tmp_path, replay(1.0), learning_rate="1000", weight_decay="0.1").run(lambda: False)
+        learner(
+            tmp_path, replay(1.0), temperature_learning_rate="1000", entropy_per_action="1000"
+        ).run(lambda: False)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000000"]
     assert learner(tmp_path, replay(1.0), resume=True).run(lambda: False)["updates"] == 100
 

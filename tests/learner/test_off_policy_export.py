@@ -34,7 +34,7 @@ def make(mode: str, **options: Any) -> OffPolicySuggester:
         ensemble.refresh()
     algorithm.observe(2.0 * torch.randn(100, 4, generator=generator) + 1.0)
     algorithm.observe_returns(torch.tensor([3.0, -4.0]))
-    suggester = algorithm.suggester(LOW, HIGH, progress=0.4, warms_up=mode == "uniform")
+    suggester = algorithm.suggester(LOW, HIGH, warms_up=mode == "uniform")
     assert suggester.mode == mode
     return suggester
 
@@ -86,9 +86,6 @@ def test_graph_agrees_for_every_form_of_network(
         {"normalise_obs": False},
         {"quiet_rare_obs": False},
         {"normalise_return": False},
-        {"selection_fades": True},
-        {"optimism": 0.0},
-        {"optimism": -2.0, "critics": 4},
         {"quantiles": 7, "dropped_quantiles": 1},
         {"precision": "bf16"},
         {"policy_sizes": "12", "critic_sizes": "6"},
@@ -148,8 +145,8 @@ def test_graph_asks_for_the_noise_that_it_needs(mode: str, k: int) -> None:
 
 @pytest.mark.parametrize("mode", ["uniform", "first", "hard", "soft"])
 def test_a_graph_holds_no_number_that_it_does_not_read(mode: str) -> None:
-    """Uniform actions need no observation, and a score without optimism not its weight."""
-    graph = onnx.load_from_string(export(make(mode, optimism=0.0), 0, {})).graph
+    """Uniform actions need no observation."""
+    graph = onnx.load_from_string(export(make(mode), 0, {})).graph
     read = {name for node in graph.node for name in node.input}
     assert {number.name for number in graph.initializer} <= read
 

@@ -32,7 +32,6 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     }  # fmt: skip
     assert (sac.quantiles, sac.network) == (1, "mlp")
     assert (sac.act_suggestions, sac.target_suggestions, sac.target_groups) == (1, 1, 1)
-    assert sac.distil_weight == sac.optimism == 0
     assert (sac.policy_loss, sac.gamma) == ("pathwise", 0.99)
 
 
@@ -98,7 +97,6 @@ def test_overrides_are_read_by_the_type_of_their_field(
             r"critic_sizes: found \(9,\), expected at least two with network trunk",
         ),
         ({"precision": "f16"}, "precision: found 'f16', expected one of f32, bf16"),
-        ({"distil_top": 99}, r"distil_top: found 99, expected at most distil_suggestions \(\d+\)"),
         (
             {"replay_rows": 10**18},
             r"replay_rows: found 10+, expected a whole number from 1 to 1e\+09",
@@ -115,7 +113,7 @@ def test_overrides_are_read_by_the_type_of_their_field(
             r"dropped_quantiles: found 5, expected fewer than quantiles \(5\)",
         ),
         (
-            {"policy_loss": "score", "distil_suggestions": 1, "distil_top": 1},
+            {"policy_loss": "score", "distil_suggestions": 1},
             "distil_suggestions: found 1, expected at least 2 with policy_loss score",
         ),
         (

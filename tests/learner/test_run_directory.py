@@ -60,6 +60,18 @@ def test_files_are_continued_and_redone_updates_are_forgotten(tmp_path: Path) ->
     ]
 
 
+def test_a_table_of_updates_keeps_the_columns_that_it_began_with(tmp_path: Path) -> None:
+    """A version that has others goes on with it."""
+    before = RunDirectory(tmp_path, ("update", "gone", "loss"), lambda: 0.0)
+    before.update({"update": 1, "gone": 0.25, "loss": 2.0})
+    before.close()
+    now = RunDirectory(tmp_path, ("update", "loss", "new"), lambda: 0.0)
+    now.keep_updates(1)
+    now.update({"update": 2, "loss": 0.5, "new": 3.0})
+    now.close()
+    assert (tmp_path / "updates.csv").read_text() == "update,gone,loss\n1,0.25,2\n2,,0.5\n"
+
+
 def test_episodes_are_read_back(tmp_path: Path) -> None:
     directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
     row = {"env_steps": 5, "actor": 0, "weights_version": 1, "length": 5, "terminated": 1}

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from a2s.learner.algorithm.policy_steps import advantage_over_others, distil, pathwise, score
+from a2s.learner.algorithm.policy_steps import advantage_over_others, pathwise, score
 from a2s.learner.algorithm.squashed import Gaussian, draw, gaussian, log_density
 
 
@@ -87,34 +87,3 @@ def test_score_and_pathwise_agree_on_average() -> None:
         by_score = score(policy, normal, worth(several), temperature)
         one, other = by_path.grad.sum(0), by_score.grad.sum(0)
         torch.testing.assert_close(one, other, rtol=0.05, atol=0.03)
-
-
-@pytest.mark.parametrize(("top", "wanted"), [(1, [0.5, 0.0]), (2, [0.5, 1.0]), (3, [0.0, 1.0])])
-def test_distillation_pulls_the_mean_to_the_best(top: int, wanted: list[float]) -> None:
-    """Deviations 1 and 2; by hand: -(mean of the best normals) / std; no gradient by the std."""
-    policy = Gaussian(torch.zeros(1, 2), torch.tensor([[0.0, 0.6931472]]), torch.ones(1, 2))
-    normal = torch.tensor([[[-1.0, 2.0], [0.5, 0.0], [0.5, 4.0]]])
-    normal[0, 2, 1] = 4.0
-    found = distil(policy, normal, torch.tensor([[1.0, 3.0, 2.0]]), top)
-    by_mean = [-wanted[0], -wanted[1]]
-    assert found.grad[0].tolist() == pytest.approx([*by_mean, 0.0, 0.0], abs=1e-6)
-
-
-def test_distillation_is_the_gradient_of_a_log_likelihood() -> None:
-    """Averaged over the best, the standard deviation held."""
-    raw, normal, q_value = output(), torch.randn(6, 5, 2).double(), torch.randn(6, 5)
-    policy = gaussian(raw)
-    std = policy.log_std.exp().detach()
-    u = (policy.mean[:, None] + std[:, None] * normal).detach()
-    best = q_value.argsort(1, descending=True)[:, :2]
-    density = torch.distributions.Normal(policy.mean, std)
-    total = torch.zeros(())
-    for row in range(6):
-        for k in best[row]:
-            log_prob = density.log_prob(u[:, k])  # type: ignore[no-untyped-call]
-            total = total - log_prob[row].sum() / (2 * 6)
-    torch.autograd.backward(total)
-    free = Gaussian(*(each.detach() for each in policy))
-    assert raw.grad is not None
-    found = distil(free, normal, q_value, 2).grad
-    torch.testing.assert_close(found, raw.grad, rtol=1e-6, atol=1e-9)

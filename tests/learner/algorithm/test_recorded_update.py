@@ -17,7 +17,7 @@ from a2s.learner.off_policy_presets import off_policy
 
 OPTIONS: list[dict[str, object]] = [
     {},
-    {"target_groups": 2, "selector": "mean", "weight_decay": 0.01},
+    {"target_groups": 2, "selector": "mean"},
     {"quantiles": 5, "dropped_quantiles": 1},
     {"policy_loss": "score", "network": "residual"},
     {"network": "trunk", "normalise_obs": False},
