@@ -198,7 +198,8 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
-    return run, without_removed(hyper, _hyperparameters(run.get("variant", "on-policy")))
+    variant = run.get("variant", "on-policy")
+    return run, without_removed(hyper, variant, _hyperparameters(variant))
 
 
 def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:

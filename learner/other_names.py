@@ -22,8 +22,6 @@ _EITHER = {
     "critic_lr": "critic_learning_rate",
     "discount": "gamma",
     "norm_obs": "normalise_obs",
-    "n_critics": "critics",
-    "num_qs": "critics",
 }
 ON_POLICY = _EITHER | {
     "n_steps": "batch_steps",
@@ -44,6 +42,8 @@ ON_POLICY = _EITHER | {
     "max_gradient_norm": "max_grad_norm",
 }
 OFF_POLICY = _EITHER | {
+    "n_critics": "critics",
+    "num_qs": "critics",
     "buffer_size": "replay_rows",
     "max_replay_size": "replay_rows",
     "learning_starts": "warm_up_steps",
@@ -75,34 +75,52 @@ RUN = {
 
 
 class Removed(NamedTuple):
-    """A hyperparameter that is gone: the value that does what is done now, and why it went."""
+    """A hyperparameter that is gone: values that do what is done now, and why it went."""
 
-    neutral: object
+    neutral: tuple[object, ...]
     reason: str
 
 
 _NOTHING = "it brought nothing; docs/adr/0008"
-# One of these may still be of the other variant.
+_UNUSED = "no preset used it"
 REMOVED = {
-    "optimism": Removed(0, _NOTHING),
-    "distil_weight": Removed(0, _NOTHING),
-    "distil_top": Removed(1, _NOTHING),
-    "selection_fades": Removed(False, "off-policy it was not shown to bring anything"),
-    "weight_decay": Removed(0, "every preset had 0"),
+    "on-policy": {
+        "critics": Removed((1,), "on-policy there is one"),
+        "critic_score": Removed(("mean", "min"), "on-policy there is one critic"),
+        "activation": Removed(("tanh",), _UNUSED),
+        "q_weight_decay": Removed((0,), _UNUSED),
+        "target_lambda": Removed((0.95, 1), "it is gae_lambda"),
+        "warm_up_explained_variance": Removed((0,), "warm_up is none or first-fit"),
+        "distil_loss": Removed(("mse", "log-likelihood"), "equation 6 is a squared error"),
+        "distil_weight": Removed((0.2, 1), "equation 6 has steps of its own"),
+        "recovery_best_decay": Removed((0,), _UNUSED),
+    },
+    "off-policy": {
+        "optimism": Removed((0,), _NOTHING),
+        "distil_weight": Removed((0,), _NOTHING),
+        "distil_top": Removed((1,), _NOTHING),
+        "selection_fades": Removed((False,), "off-policy it was not shown to bring anything"),
+        "weight_decay": Removed((0,), "every preset had 0"),
+    },
 }
+_REASONS = {name: gone.reason for table in REMOVED.values() for name, gone in table.items()}
 
 
-def without_removed(given: Mapping[str, object], valid: Collection[str]) -> dict[str, object]:
+def without_removed(
+    given: Mapping[str, object], variant: object, valid: Collection[str]
+) -> dict[str, object]:
     """What an older version wrote down, without what is gone and changed nothing.
 
     Args:
         given: Values by name.
+        variant: Of the algorithm.
         valid: All names that there are.
     """
+    gone = REMOVED.get(str(variant), {})
     return {
         name: value
         for name, value in given.items()
-        if name in valid or name not in REMOVED or value != REMOVED[name].neutral
+        if name in valid or name not in gone or value not in gone[name].neutral
     }
 
 
@@ -123,6 +141,6 @@ def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
         return f" (here it is {others[name]!r})"
     if name in RUN:
         return f" (here it is the option --{RUN[name].replace('_', '-')})"
-    if name in REMOVED:
-        return f" (removed: {REMOVED[name].reason})"
+    if name in _REASONS:
+        return f" (removed: {_REASONS[name]})"
     return nearest(name, valid)
