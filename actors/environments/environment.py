@@ -170,6 +170,8 @@ class Environment:
         for name in self._metric_names[:MOST_METRICS]:
             try:
                 value = self._info.get(name)
+                if value is None:
+                    continue
                 number = float(np.asarray(value).reshape(()))
             except Exception:  # noqa: BLE001  # absent, no number, or a user's object raises
                 continue
