@@ -4,7 +4,6 @@ import contextlib
 import json
 import logging
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -45,7 +44,7 @@ class Parent:
         sys.path.append(os.getcwd())
         self.activity = Activity(page)
         self.stopped = threading.Event()
-        self._parent, self._family = os.getppid(), os.environ.get(FAMILY, "")
+        self._family = os.environ.get(FAMILY, "")
         inherit_orphans()
         self._lock = threading.Lock()
         lines = os.fdopen(life, "rb", buffering=0)
@@ -65,13 +64,11 @@ class Parent:
                 self.leave(UNHEARD)
 
     def leave(self, code: int) -> None:
-        """End this process at once, and its family if the parent is no more to do it."""
+        """End this process at once, and its family: the parent may end before it could do so."""
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):  # it may be a user's own by now
                 stream.flush()
-        if os.getppid() != self._parent:
-            end_family(self._family, living=set())
-            os.killpg(0, signal.SIGKILL)
+        end_family(self._family, living=set())
         os._exit(code)
 
     def _await_end(self, read: Callable[[int], bytes]) -> None:

@@ -4,7 +4,7 @@ import signal
 import sys
 import traceback
 import uuid
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -87,7 +87,8 @@ def main() -> None:
     except BaseException as error:  # noqa: BLE001  # whatever it is, this process has to end
         code = 0 if parent.stopped.is_set() else 1
         if not isinstance(error, A2SError):
-            traceback.print_exc(file=parent.stderr)  # a fault of ours: all of it is of use
+            with suppress(OSError):  # nobody may be there to read it
+                traceback.print_exc(file=parent.stderr)  # a fault of ours: all of it is of use
             error = Faults(env_id).raised("its process", error)
         on_failure(error)  # once more, if the actor has told it; it is the same
     report()
