@@ -9,7 +9,7 @@ ARGS ?=
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-external check format build clean
+.PHONY: help setup train test test-all test-external check format build clean
 
 help: ## Show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -29,7 +29,11 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 	@echo "== a2s train $(TRAIN_DEFAULTS) $(ARGS)"
 	@$(BIN)/a2s train $(TRAIN_DEFAULTS) $(ARGS)
 
-test: setup ## Run all tests, two at a time
+test: setup ## Run the tests, two at a time, but for eight that take long
+	@echo "== pytest"
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup -m "not long" $(ARGS)
+
+test-all: setup ## Run all tests
 	@echo "== pytest"
 	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(ARGS)
 

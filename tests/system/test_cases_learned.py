@@ -75,6 +75,7 @@ def test_an_off_policy_run_takes_every_integer(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_an_off_policy_run_keeps_within_float64_bounds(tmp_path: Path) -> None:
     """The environment fails otherwise; a fresh policy is often at a bound."""
     notes = tmp_path / "actions"
@@ -95,6 +96,7 @@ def test_wide_observations_of_one_environment_are_trained_on(tmp_path: Path) -> 
     assert trained.summary["segments"]["accepted"] >= 3
 
 
+@pytest.mark.long
 def test_randomness_of_the_modules_repeats_with_the_seed(tmp_path: Path) -> None:
     """In the constructor, in reset and in step, of `random` and of numpy, in two actors."""
     env = "a2s_case_numbers:GlobalRandom-v0"

@@ -19,6 +19,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 WaitFor = Callable[..., None]
 
 
+@pytest.mark.long
 def test_who_is_slow_is_waited_for_by_name(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:

@@ -64,6 +64,7 @@ def test_lockstep_with_one_actor_is_reproducible_to_the_bit(
     assert summaries[0]["weights_sha256"] == summaries[1]["weights_sha256"]
 
 
+@pytest.mark.long
 def test_a_resume_that_cannot_go_on_changes_nothing(
     start: Start, run_a2s: RunA2S, endpoint: str, tmp_path: Path
 ) -> None:

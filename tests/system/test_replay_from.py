@@ -25,6 +25,7 @@ FILLS = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 def test_offline_from_the_files_of_a_run_and_on_after_a_resume(
     run_a2s: RunA2S, tmp_path: Path
 ) -> None:
@@ -43,6 +44,7 @@ def test_offline_from_the_files_of_a_run_and_on_after_a_resume(
     assert evaluation["mean"] > 6.0  # of 8; a random policy gets about 4
 
 
+@pytest.mark.long
 def test_live_over_the_network_without_a_change_to_the_first(
     start: Start, run_a2s: RunA2S, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:

@@ -63,7 +63,11 @@ def test_two_terminals_in_either_order(
     assert not any(is_alive(worker.pid) for worker in workers)
 
 
-@pytest.mark.parametrize("settings", [(), OFTEN], ids=["without recovery", "with recoveries"])
+@pytest.mark.parametrize(
+    "settings",
+    [pytest.param((), marks=pytest.mark.long), OFTEN],
+    ids=["without recovery", "with recoveries"],
+)
 def test_lockstep_is_reproducible_to_the_bit(
     run_a2s: RunA2S, tmp_path: Path, settings: tuple[str, ...]
 ) -> None:
@@ -136,6 +140,7 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     assert [e["generation"] for e in events if e["event"] == "start"] == [1, 2]
 
 
+@pytest.mark.long
 def test_actors_go_on_with_a_learner_that_begins_anew(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:
