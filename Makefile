@@ -29,7 +29,7 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 	@echo "== a2s train $(TRAIN_DEFAULTS) $(ARGS)"
 	@$(BIN)/a2s train $(TRAIN_DEFAULTS) $(ARGS)
 
-test: setup ## Run the tests, two at a time, but for eight that take long
+test: setup ## Run the tests, two at a time, but for 13 that take long
 	@echo "== pytest"
 	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup -m "not long" $(ARGS)
 

@@ -63,6 +63,7 @@ def test_the_penalty_of_a_last_step_without_an_observation_is_in_the_replay(
     assert directory.look_at(trained.path / "replay").live.stop == trained.summary["env_steps"]
 
 
+@pytest.mark.long
 def test_an_off_policy_run_takes_every_integer(tmp_path: Path) -> None:
     """And as often as the policy means them: zero is only the half of the middle."""
     notes = tmp_path / "actions"
@@ -87,6 +88,7 @@ def test_an_off_policy_run_keeps_within_float64_bounds(tmp_path: Path) -> None:
     assert max(seen) == pytest.approx(1 / 3, abs=0.01)
 
 
+@pytest.mark.long
 def test_wide_observations_of_one_environment_are_trained_on(tmp_path: Path) -> None:
     """A batch of 2,100 steps is 34 MiB, and would be one segment."""
     batch = ("--set", "batch_steps=2100", "--set", "batch_steps_first=2100", "--envs", "1")

@@ -50,6 +50,7 @@ def test_who_is_slow_is_waited_for_by_name(
     assert events_of == []
 
 
+@pytest.mark.long
 def test_an_episode_that_never_ends_is_cut_in_evaluation_and_says_so(tmp_path: Path) -> None:
     """And its return of about -0.005 is told with digits."""
     kwargs = ("--env-kwargs", "length=0", "--env-kwargs", "reward_scale=1e-6")
@@ -68,6 +69,7 @@ def test_an_episode_that_never_ends_is_cut_in_evaluation_and_says_so(tmp_path: P
     assert cut["lengths"] == [50, 50, 50]
 
 
+@pytest.mark.long
 def test_a_limit_of_the_users_own_is_kept_and_used_everywhere(tmp_path: Path) -> None:
     """Whole episodes are what the preset of the authors waits for; the class has no id."""
     env = ("a2s_case_envs:Control", "--env-kwargs", "length=0", "--max-episode-steps", "60")

@@ -38,6 +38,7 @@ def _acknowledged(run: Path) -> Ledger:
     return ledger
 
 
+@pytest.mark.long
 def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_path: Path) -> None:
     summary = run_a2s("train", *REACH, *SMALL, "--n", "2", "--total-steps", "1500", "--run", "r")
     assert summary["variant"] == "off-policy"
