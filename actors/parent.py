@@ -4,6 +4,7 @@ import contextlib
 import json
 import logging
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -44,7 +45,7 @@ class Parent:
         sys.path.append(os.getcwd())
         self.activity = Activity(page)
         self.stopped = threading.Event()
-        self._family = os.environ.get(FAMILY, "")
+        self._parent, self._family = os.getppid(), os.environ.get(FAMILY, "")
         inherit_orphans()
         self._lock = threading.Lock()
         lines = os.fdopen(life, "rb", buffering=0)
@@ -69,6 +70,8 @@ class Parent:
             with contextlib.suppress(Exception):  # it may be a user's own by now
                 stream.flush()
         end_family(self._family, living=set())
+        if os.getppid() != self._parent:  # else it ends our group once we are gone
+            os.killpg(0, signal.SIGKILL)
         os._exit(code)
 
     def _await_end(self, read: Callable[[int], bytes]) -> None:

@@ -89,7 +89,7 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
         except gymnasium.error.Error as error:
             advice = f"; name what is in it: {name}:CLASS" if name.endswith(".py") else ""
             raise UsageError(f"environment {config.env_id!r}: {_line(error)}{advice}") from None
-        except Exception as error:
+        except Exception as error:  # whatever a user's code raises
             if made is None or isinstance(error, A2SError):
                 raise
             raise Faults(config.env_id).of_make(error, made) from error
