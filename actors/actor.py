@@ -12,11 +12,11 @@ from a2s.actors.activity import Activity
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import seed_globals
 from a2s.actors.metrics import Tally
-from a2s.actors.newest import Newest
+from a2s.actors.outbox import Spool
 from a2s.actors.rollout import Rollout
-from a2s.actors.spool import Spool
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
+from a2s.actors.weights_client import Newest
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError

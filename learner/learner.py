@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from a2s.learner import checkpoint
-from a2s.learner.configuration import Configuration
-from a2s.learner.gather import Gather
-from a2s.learner.learning import Outcome
-from a2s.learner.ledger import Ledger
-from a2s.learner.memory import keep_freed_memory
-from a2s.learner.metrics import LearnerMetrics
-from a2s.learner.policy_metadata import policy_metadata
-from a2s.learner.progress import View
-from a2s.learner.record import EpisodeRecord
-from a2s.learner.report import Report, Standing, summarise
-from a2s.learner.run_directory import RunDirectory, column_of, write_summary
-from a2s.learner.service import Service
-from a2s.learner.terms import Terms
-from a2s.learner.variants import make_learning
-from a2s.learner.weights import Publisher
+from a2s.learner.export.metadata import policy_metadata
+from a2s.learner.ingest.admission import Terms
+from a2s.learner.ingest.ingest import Gather
+from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.server import Service
+from a2s.learner.ingest.weights import Publisher
+from a2s.learner.run import checkpoint
+from a2s.learner.run.config import Configuration
+from a2s.learner.run.directory import RunDirectory, column_of, write_summary
+from a2s.learner.run.episode_stats import EpisodeRecord
+from a2s.learner.run.memory import keep_freed_memory
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import View
+from a2s.learner.run.status import Report, Standing, summarise
+from a2s.learner.run.variants import make_learning
+from a2s.learner.trainer import Outcome
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys

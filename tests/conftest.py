@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import torch
 
-from a2s.learner import presets
-from a2s.learner.algorithm.on_policy import OnPolicy
-from a2s.learner.export import export
+from a2s.learner.export.on_policy import export
+from a2s.learner.on_policy import presets
+from a2s.learner.on_policy.update import OnPolicy
 from a2s.protocol.messages import Notice
 
 PLUGIN = Path(__file__).parent / "plugin"

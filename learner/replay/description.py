@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from a2s.learner.run_directory import write_atomically
+from a2s.learner.run.directory import write_atomically
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.fields import Spaces
 

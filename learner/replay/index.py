@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from a2s.learner.replay.record import RECORD_BYTES, numbers
-from a2s.learner.run_directory import write_atomically
+from a2s.learner.run.directory import write_atomically
 from a2s.protocol.errors import RunDirectoryError
 
 _FEW_BYTES = 4096 * RECORD_BYTES

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from a2s.commands.train import train
-from a2s.learner.configuration import assemble
-from a2s.learner.run_directory import claimed
+from a2s.learner.run.config import assemble
+from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import RunDirectoryError
 
 

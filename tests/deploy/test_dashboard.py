@@ -16,7 +16,7 @@ from prometheus_client import Gauge, Histogram
 from prometheus_client.registry import Collector
 
 from a2s.actors.metrics import COUNTERS, Fleet
-from a2s.learner.metrics import LearnerMetrics
+from a2s.learner.run.metrics import LearnerMetrics
 
 DATASOURCE = {"type": "prometheus", "uid": "${datasource}"}
 # How far the run has got is the value itself of a counter.

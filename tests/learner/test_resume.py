@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from a2s.actors.environments.environment import Environment
-from a2s.learner.configuration import assemble
 from a2s.learner.learner import Learner
-from a2s.learner.metrics import LearnerMetrics
-from a2s.learner.progress import PlainView
+from a2s.learner.run.config import assemble
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import PlainView
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.in_process import Exchange, InProcessBus

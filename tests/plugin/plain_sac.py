@@ -11,9 +11,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from a2s.learner.algorithm.ensemble import Ensemble, Form
-from a2s.learner.algorithm.off_policy import OffPolicy
-from a2s.learner.algorithm.transitions import Transitions
+from a2s.learner.networks.ensemble import Ensemble, Form
+from a2s.learner.off_policy.transitions import Transitions
+from a2s.learner.off_policy.update import OffPolicy
 
 
 class PlainStats(NamedTuple):

@@ -11,10 +11,10 @@ import numpy as np
 import onnx
 import pytest
 
-from a2s.learner.configuration import RunConfig
-from a2s.learner.graph import CONTRACT
-from a2s.learner.off_policy_learning import OffPolicyLearning
-from a2s.learner.policy_metadata import policy_metadata
+from a2s.learner.export.graph import CONTRACT
+from a2s.learner.export.metadata import policy_metadata
+from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.run.config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import MOST_METRICS, Spaces

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from system_helpers import PATIENCE_S, REACH, Start, metrics_port, rows, scrape
 
-from a2s.learner.ledger import Ledger
+from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
 from a2s.learner.replay.episodes import StoredEpisodes
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from system_helpers import FAST, OFTEN, PATIENCE_S, REACH, Start, metrics_port, scrape
 
-from a2s.learner.algorithm.recovery import Recovery
+from a2s.learner.on_policy.recovery import Recovery
 from a2s.protocol.codec import decode
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import RecoveryEvent

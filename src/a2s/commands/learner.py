@@ -15,17 +15,17 @@ import torch
 from a2s.actors.description import describe
 from a2s.commands.serving import pass_on, serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
-from a2s.learner import run_directory
-from a2s.learner.algorithm.off_policy_hyper import OffPolicyHyper
-from a2s.learner.batching import Source
-from a2s.learner.configuration import Configuration
-from a2s.learner.from_replay import FromReplay
+from a2s.learner.ingest.batching import Source
 from a2s.learner.learner import Learner
-from a2s.learner.metrics import LearnerMetrics
-from a2s.learner.progress import make_view
+from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.replay import directory
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay_trainer import FromReplay
+from a2s.learner.run import directory as run_directory
+from a2s.learner.run.config import Configuration
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import make_view
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MOST_SAMPLED, MOST_STEPS, ReplayInfo

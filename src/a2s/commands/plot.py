@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
-from a2s.learner import configuration
-from a2s.learner.run_directory import CONFIG, EPISODE_COLUMNS
+from a2s.learner.run import config as configuration
+from a2s.learner.run.directory import CONFIG, EPISODE_COLUMNS
 from a2s.protocol.errors import UsageError
 
 mpl.use("agg")

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from a2s.learner.configuration import read
 from a2s.learner.replay import directory
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.transitions import Transitions
-from a2s.learner.run_directory import CONFIG
+from a2s.learner.run.config import read
+from a2s.learner.run.directory import CONFIG
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
 from a2s.protocol.replay_messages import COLUMNS

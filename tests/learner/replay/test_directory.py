@@ -16,7 +16,7 @@ import pytest
 import replay_writer
 from replay_oracle import ENV_ID, SPACES, make_segment
 
-from a2s.learner.ledger import Ledger
+from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
 from a2s.learner.replay.record import RECORD_BYTES
 from a2s.learner.replay.replay import Replay

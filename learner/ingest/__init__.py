@@ -1,0 +1,1 @@
+"""Bytes to accepted segments, and weights back."""

@@ -1,0 +1,1 @@
+"""The networks, their gradients written out, and Adam: pure."""

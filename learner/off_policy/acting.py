@@ -1,0 +1,131 @@
+"""Acting off-policy, from observation to action in the environment's units, as one module."""
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from a2s.learner.networks.ensemble import Ensemble, Form, score_many
+from a2s.learner.networks.layers import Weights, run
+from a2s.learner.networks.networks import Normaliser
+from a2s.learner.off_policy.squashed import draw_several, gaussian, log_density
+from a2s.learner.off_policy.targets import pick_best
+from a2s.learner.on_policy.acting import Choice
+
+OffPolicySuggesterMode = Literal["uniform", "first", "hard", "soft"]
+
+
+class OffPolicySuggester:
+    """Normaliser, policy, K suggestions, critics, selection and action bounds.
+
+    It holds the networks it is given, not copies, and computes in float32 whatever they learn in.
+    One suggester serves every way of acting by its noise:
+
+    ==================================================  ==========================================
+    behaviour                                           ``normal`` and ``gumbel`` as drawn
+    mean action                                         ``normal = 0``
+    best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
+    ==================================================  ==========================================
+
+    Args:
+        normaliser: Of the observations.
+        policy: Suggests; not asked in the mode ``uniform``.
+        critics: Pick; not asked but in the modes ``hard`` and ``soft``.
+        action_low: Lowest action of the environment, float32 ``[A]``.
+        action_high: Highest, float32 ``[A]``.
+        mode: ``uniform``: actions spread evenly over the bounds, for warm-up; ``first``: the only
+            suggestion; ``hard``: the one of largest score; ``soft``: drawn, each with a chance in
+            proportion to exp(score / temperature) over its density under the policy. As K grows,
+            that is a draw from the Boltzmann distribution of the scores, to which SAC's policy
+            is fitted, and so no less random than the policy is to be (docs/adr/0011).
+        suggestions: K; 1 but in the modes ``hard`` and ``soft``.
+        temperature: Of ``soft``, in returns, ``[]``.
+        return_size: What the critics are in units of, ``[]``.
+    """
+
+    def __init__(
+        self,
+        *,
+        normaliser: Normaliser,
+        policy: Ensemble,
+        critics: Ensemble,
+        action_low: Tensor,
+        action_high: Tensor,
+        mode: OffPolicySuggesterMode,
+        suggestions: int,
+        temperature: Tensor,
+        return_size: Tensor,
+    ) -> None:
+        if mode in ("uniform", "first") and suggestions != 1:
+            raise ValueError(f"mode {mode}, K {suggestions}: expected K 1 without critics")
+        self.normaliser = normaliser
+        self.policy = policy
+        self.critics = critics
+        self.action_low = action_low.float()
+        self.action_high = action_high.float()
+        self.mode: OffPolicySuggesterMode = mode
+        self.suggestions = suggestions
+        self.temperature = temperature
+        self.return_size = return_size
+
+    @torch.no_grad()
+    def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
+        """Choose actions.
+
+        Args:
+            obs: As the environment gave them, float32 ``[B, D]``.
+            normal: Standard normal noise, float32 ``[B, K, A]``.
+            gumbel: Standard Gumbel noise, float32 ``[B, K]``, for the mode ``soft``; without it,
+                or where all of it is 0, the largest score counts.
+        """
+        q_spread = torch.zeros(len(obs), device=obs.device)
+        if self.mode == "uniform":
+            suggestion = torch.erf(normal[:, 0] * math.sqrt(0.5))
+            log_prob = torch.full_like(q_spread, -math.log(2.0) * suggestion.shape[1])
+            return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
+        seen = self.normaliser(obs)
+        form, weights = _in_float32(self.policy)
+        policy = gaussian(run(form.layers, weights, seen.unsqueeze(0))[0][0])
+        u = draw_several(policy, normal)
+        log_prob = log_density(u, normal, policy.log_std.unsqueeze(1))
+        if self.mode == "first":
+            return self._choice(u.squeeze(1), log_prob.squeeze(1), q_spread)
+        score = self.score(seen, u.tanh())
+        q_spread = score.amax(1) - score.mean(1)
+        if self.mode == "soft":
+            if gumbel is None:
+                gumbel = torch.zeros_like(score)
+            is_drawn = gumbel.square().sum(1, keepdim=True).sign()
+            score = score / self.temperature - is_drawn * log_prob
+            log_prob = log_prob + score.log_softmax(1) + math.log(self.suggestions)
+            score = score + gumbel
+        u, chosen = pick_best(score, u, log_prob.unsqueeze(2))
+        return self._choice(u, chosen.squeeze(1), q_spread)
+
+    def _choice(self, u: Tensor, log_prob: Tensor, q_spread: Tensor) -> Choice:
+        suggestion = u.tanh()
+        return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
+
+    def score(self, seen: Tensor, action: Tensor) -> Tensor:
+        """Means of the critics, in returns, of normalised and canonical: ``[B, K]``.
+
+        Args:
+            seen: ``[B, D]``.
+            action: ``[B, K, A]``.
+        """
+        form, weights = _in_float32(self.critics)
+        shared = action.expand(self.critics.members, *action.shape)
+        q_value = score_many(form, weights, seen, shared).mean(-1) * self.return_size
+        return q_value.mean(0)
+
+    def to_env(self, suggestion: Tensor) -> Tensor:
+        """Canonical suggestions in the environment's units, within its bounds: ``[B, A]``."""
+        half = (self.action_high - self.action_low) / 2
+        centre = (self.action_high + self.action_low) / 2
+        return (suggestion * half + centre).clamp(self.action_low, self.action_high)
+
+
+def _in_float32(ensemble: Ensemble) -> tuple[Form, Weights]:
+    weights = ensemble.weights
+    return ensemble.form, weights._replace(product=weights.full)

@@ -1,0 +1,115 @@
+"""Everything that off-policy learning changes."""
+
+import torch
+from torch import Tensor
+
+from a2s.learner.networks.ensemble import Ensemble, Form
+from a2s.learner.networks.fused_adam import FusedAdam
+from a2s.learner.networks.networks import Normaliser
+from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.return_size import ReturnSize
+from a2s.learner.on_policy.state import check_tensors
+
+
+class OffPolicyLearned:
+    """Networks, their optimisers, the temperature and the normalisers.
+
+    Args:
+        obs_size: D.
+        action_size: A.
+        hyper: Hyperparameters.
+        generator: Draws the first weights, on the CPU.
+        device: Of all tensors.
+
+    Attributes:
+        normaliser: Of the observations.
+        return_size: What critics and temperature are in units of.
+        policy: One network, ``[D]`` to ``[2 A]``: means and log standard deviations of u.
+        critics: E networks, ``[D + A]`` to the M atoms of a value.
+        targets: The same, averaged over time.
+        average: The policy, averaged over time; the same object where that is not wanted.
+        log_temperature: Logarithm of the weight of the entropy, ``[]``.
+        adam: One optimiser for ``policy``, ``critics`` and ``temperature``.
+    """
+
+    def __init__(
+        self,
+        obs_size: int,
+        action_size: int,
+        hyper: OffPolicyHyper,
+        generator: torch.Generator,
+        device: torch.device,
+    ) -> None:
+        def make(sizes: tuple[int, ...], members: int, late: int = 0) -> Ensemble:
+            form = Form(sizes, network=hyper.network, layer_norm=hyper.layer_norm, late=late)
+            first = form.draw(members, generator).to(device)
+            return Ensemble(form, first, precision=hyper.precision)
+
+        self.normaliser = Normaliser(
+            obs_size, enabled=hyper.normalise_obs, quiets_rare=hyper.quiet_rare_obs
+        ).to(device)
+        self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
+        self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
+        joined = obs_size + action_size
+        sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
+        self.critics = make(sizes, hyper.critics, late=action_size)
+        self.targets = self.critics.copy()
+        self._average_updates = hyper.average_updates
+        self.average = self.policy
+        if hyper.average_updates:
+            first = self.policy.value.clone()
+            self.average = Ensemble(self.policy.form, first, precision="f32")
+        self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
+        self.learns_temperature = hyper.temperature_learning_rate > 0
+        rates = {
+            "policy": (self.policy.value, hyper.learning_rate),
+            "critics": (self.critics.value, hyper.critic_learning_rate),
+            "temperature": (self.log_temperature, hyper.temperature_learning_rate),
+        }
+        self.adam = {
+            name: FusedAdam(value, learning_rate=rate) for name, (value, rate) in rates.items()
+        }
+
+    def follow(self) -> None:
+        """Move the average towards the policy.
+
+        It reaches back over a tenth of the updates so far, so that the first ones do not last.
+        """
+        if self.average is not self.policy:
+            reach = (self.adam["policy"].steps / 10.0).clamp(1.0, self._average_updates)
+            self.average.value.lerp_(self.policy.value, 1.0 / reach)
+
+    def is_finite(self) -> bool:
+        """Whether every parameter is a number; waits for the device."""
+        found = [self.policy.value, self.critics.value, self.targets.value]
+        found += [self.log_temperature] if self.learns_temperature else []
+        return all(bool(torch.isfinite(each).all()) for each in found)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of it by name, not copied."""
+        found = {
+            "policy": self.policy.value,
+            "critics": self.critics.value,
+            "targets": self.targets.value,
+            "log_temperature": self.log_temperature,
+        }
+        if self.average is not self.policy:
+            found["average"] = self.average.value
+        found |= {f"normaliser.{name}": each for name, each in self.normaliser.named_buffers()}
+        found |= {f"return_size.{name}": each for name, each in self.return_size.tensors().items()}
+        for name, adam in self.adam.items():
+            found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}
+        return found
+
+    def load(self, stored: dict[str, Tensor]) -> None:
+        """Overwrite all of it.
+
+        Raises:
+            RunDirectoryError: A tensor is missing or has another shape.
+        """
+        present = self.tensors()
+        check_tensors(stored, present)
+        for name, tensor in present.items():
+            tensor.copy_(stored[name])
+        for ensemble in (self.policy, self.critics, self.targets):
+            ensemble.refresh()

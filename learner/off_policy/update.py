@@ -1,0 +1,291 @@
+"""Off-policy A2S: one update from one batch of a replay.
+
+With one suggestion and one group it is SAC (Haarnoja et al. 2018), number for
+number.
+
+Source: equations 7, 8 and algorithm 2 of the paper.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.networks.ensemble import score_many
+from a2s.learner.networks.layers import Weights
+from a2s.learner.off_policy.acting import (
+    OffPolicySuggester,
+    OffPolicySuggesterMode,
+)
+from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.losses import CriticLoss, quantile_loss, squared_loss
+from a2s.learner.off_policy.noise import Noise, draw_noise
+from a2s.learner.off_policy.policy import PolicyStep, pathwise, score
+from a2s.learner.off_policy.squashed import (
+    Drawn,
+    Gaussian,
+    draw,
+    draw_several,
+    gaussian,
+    log_density,
+)
+from a2s.learner.off_policy.state import OffPolicyLearned
+from a2s.learner.off_policy.targets import backup, evaluate, pick_best
+from a2s.learner.off_policy.transitions import Transitions
+from a2s.learner.on_policy.state import check_tensors
+
+
+class OffPolicyStats(NamedTuple):
+    """Numbers of one update, still on the device.
+
+    Attributes:
+        q_loss: Of the critics, summed over them, in units of `ReturnSize`, ``[]``.
+        policy_loss: Of the policy gradient, in the same units, ``[]``.
+        q_mean: Mean of the critics on the batch before the update, in returns, ``[]``.
+        target_mean: Mean of the targets, in returns, ``[]``.
+        entropy: Of the policy, estimated from one suggestion a state, nats, ``[]``.
+        temperature: Weight of the entropy after the update, in returns, ``[]``.
+        error: Absolute error of every row, in returns, for priorities, ``[B]``.
+    """
+
+    q_loss: Tensor
+    policy_loss: Tensor
+    q_mean: Tensor
+    target_mean: Tensor
+    entropy: Tensor
+    temperature: Tensor
+    error: Tensor
+
+
+class OffPolicy:
+    """The learner's networks and everything that learning them needs.
+
+    ::
+
+        algorithm = OffPolicy(obs_size, action_size, hyper, seed)
+        while ...:
+            algorithm.observe(new_obs)
+            algorithm.observe_returns(some_returns)
+            stats = algorithm.update(replay.sample())
+            replay.prioritise(stats.error)
+
+    An update copies nothing to the host, and has the same shapes every time.
+
+    Args:
+        obs_size: D.
+        action_size: A.
+        hyper: Hyperparameters.
+        seed: Of the first weights and of every random choice.
+        device: Of all tensors.
+    """
+
+    def __init__(
+        self,
+        obs_size: int,
+        action_size: int,
+        hyper: OffPolicyHyper,
+        seed: int,
+        device: str = "cpu",
+    ) -> None:
+        self.hyper = hyper
+        self.obs_size = obs_size
+        self.action_size = action_size
+        self.device = torch.device(device)
+        root = torch.Generator().manual_seed(seed)
+        networks, noise = torch.randint(2**62, (2,), generator=root).tolist()
+        first = torch.Generator().manual_seed(networks)
+        self.learned = OffPolicyLearned(obs_size, action_size, hyper, first, self.device)
+        self._noise = torch.Generator().manual_seed(noise)
+        self._wanted_entropy = hyper.entropy_per_action * action_size
+
+    def observe(self, obs: Tensor) -> None:
+        """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
+        self.learned.normaliser.update(obs.to(self.device))
+
+    def observe_returns(self, returns: Tensor) -> None:
+        """Take discounted returns of rows of the replay, float32 ``[N]``, into account."""
+        self.learned.return_size.observe(returns.to(self.device))
+
+    def draw_noise(self, rows: int) -> Noise:
+        """Draw what an update of so many rows needs: on the CPU, to be the same everywhere."""
+        noise = draw_noise(rows, self.action_size, self.hyper, self._noise)
+        return Noise(*(each.to(self.device, non_blocking=True) for each in noise))
+
+    def suggester(
+        self,
+        action_low: Tensor,
+        action_high: Tensor,
+        *,
+        warms_up: bool = False,
+        averaged: bool = False,
+    ) -> OffPolicySuggester:
+        """The present way of acting; it shares the networks and is valid until the next update.
+
+        Args:
+            action_low: Of the environment, float32 ``[A]``.
+            action_high: Of the environment, float32 ``[A]``.
+            warms_up: Act at random: nothing is learned yet.
+            averaged: By the average of the policy over time, to be kept and used.
+        """
+        return_size = self.learned.return_size()
+        picks = self.hyper.act_suggestions > 1 and not warms_up
+        unjudged: OffPolicySuggesterMode = "uniform" if warms_up else "first"
+        return OffPolicySuggester(
+            normaliser=self.learned.normaliser,
+            policy=self.learned.average if averaged else self.learned.policy,
+            critics=self.learned.critics,
+            action_low=action_low,
+            action_high=action_high,
+            mode=self.hyper.selection if picks else unjudged,
+            suggestions=self.hyper.act_suggestions if picks else 1,
+            temperature=self.learned.log_temperature.exp() * return_size,
+            return_size=return_size,
+        )
+
+    @torch.no_grad()
+    def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:
+        """Learn from a batch.
+
+        Args:
+            batch: Rows of a replay, on the device.
+            noise: Drawn here when not given.
+        """
+        if noise is None:
+            noise = self.draw_noise(len(batch.obs))
+        learned = self.learned
+        return_size = learned.return_size()
+        batch = batch._replace(reward=batch.reward / return_size)
+        obs, next_obs = learned.normaliser(torch.stack((batch.obs, batch.next_obs)))
+        output, tape = learned.policy.trace(obs)
+        policy = gaussian(output[0])
+        drawn = draw(policy, noise.suggestion)
+        temperature = learned.log_temperature.exp()
+        self._learn_temperature(drawn.log_prob)
+        target = self._target(batch, next_obs, noise, temperature)
+        fit, q_mean = self._learn_critics(obs, batch, target)
+        moved = self._policy_step(obs, policy, drawn, noise, temperature)
+        learned.policy.differentiate(tape, moved.grad.unsqueeze(0))
+        learned.adam["policy"].step(learned.policy.grad)
+        learned.policy.refresh()
+        learned.follow()
+        learned.targets.value.lerp_(learned.critics.value, self.hyper.tau)
+        learned.targets.refresh()
+        return OffPolicyStats(
+            q_loss=fit.loss,
+            policy_loss=moved.loss,
+            q_mean=q_mean * return_size,
+            target_mean=target.mean() * return_size,
+            entropy=-drawn.log_prob.mean(),
+            temperature=learned.log_temperature.exp() * return_size,
+            error=fit.error * return_size,
+        )
+
+    def is_finite(self) -> bool:
+        """Whether every parameter is a number; waits for the device."""
+        return self.learned.is_finite()
+
+    def state(self) -> dict[str, Tensor]:
+        """Copies of everything that `load` needs to go on to the bit."""
+        tensors = {name: tensor.clone() for name, tensor in self.learned.tensors().items()}
+        return tensors | {"generator.noise": self._noise.get_state()}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Go back to a state of an object made with the same sizes and hyperparameters.
+
+        Raises:
+            RunDirectoryError: A tensor is missing or has another shape.
+        """
+        check_tensors(tensors, self.state())
+        self.learned.load(tensors)
+        self._noise.set_state(tensors["generator.noise"])
+
+    def _learn_temperature(self, log_prob: Tensor) -> None:
+        """Raise the temperature where the entropy is below the wanted one.
+
+        Source: Haarnoja et al. 2018, equation 18, for the logarithm of the temperature.
+        """
+        if self.learned.learns_temperature:
+            grad = -(log_prob.mean() + self._wanted_entropy)
+            self.learned.adam["temperature"].step(grad)
+
+    def _target(self, batch: Transitions, obs: Tensor, noise: Noise, temperature: Tensor) -> Tensor:
+        """Targets of equation 8, ``[B, M']``."""
+        learned, hyper = self.learned, self.hyper
+        policy = gaussian(learned.policy(obs)[0])
+        normal = noise.target
+        u = draw_several(policy, normal)
+        if hyper.target_suggestions > 1:
+            scores = self._select(obs, u.tanh(), noise.critic[:-1])
+            u, normal = pick_best(scores, u, normal)
+        else:
+            u, normal = u.squeeze(2), normal.squeeze(2)
+        groups = len(u)
+        joined = torch.cat([obs.expand(groups, -1, -1), u.tanh()], dim=-1)
+        value = learned.targets(joined.flatten(0, 1))
+        value = value.view(len(value), groups, len(obs), -1)
+        return backup(
+            batch.reward,
+            batch.discount,
+            evaluate(value, hyper.dropped_quantiles),
+            log_density(u, normal, policy.log_std),
+            temperature=temperature,
+            suggestions=hyper.target_suggestions,
+        )
+
+    def _learn_critics(
+        self, obs: Tensor, batch: Transitions, target: Tensor
+    ) -> tuple[CriticLoss, Tensor]:
+        """Regress every critic to the targets; also returns the mean value."""
+        critics = self.learned.critics
+        q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
+        if self.hyper.quantiles == 1:
+            fit = squared_loss(q_value, target, batch.weight)
+        else:
+            fit = quantile_loss(q_value, target, batch.weight, self.hyper.huber_width)
+        critics.differentiate(tape, fit.grad)
+        self.learned.adam["critics"].step(critics.grad)
+        critics.refresh()
+        return fit, q_value.mean()
+
+    def _policy_step(
+        self, obs: Tensor, policy: Gaussian, drawn: Drawn, noise: Noise, temperature: Tensor
+    ) -> PolicyStep:
+        """The policy gradient by the learned critics."""
+        if self.hyper.policy_loss == "score":
+            several = draw_several(policy, noise.distil).tanh()
+            q_value = self._select(obs, several[None], noise.critic[-1:])[0]
+            return score(policy, noise.distil, q_value, temperature)
+        value, by_action = self._value_of(obs, drawn.action)
+        return pathwise(policy, drawn, value, by_action, temperature)
+
+    def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.
+
+        Plain critics: their minimum, as in SAC; quantile critics: their mean, as in TQC.
+        """
+        critics = self.learned.critics
+        q_value, tape = critics.trace(torch.cat([obs, action], dim=-1))
+        if self.hyper.quantiles > 1:
+            grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.quantiles))
+            value = q_value.mean((0, 2))
+        else:
+            least, member = q_value.min(0, keepdim=True)
+            grad = torch.zeros_like(q_value).scatter_(0, member, 1.0)
+            value = least.flatten()
+        return value, critics.by_input(tape, grad, self.obs_size).sum(0)
+
+    def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
+        """Scores by whoever selects, of ``[N, B, K, A]``: ``[N, B, K]``.
+
+        Args:
+            obs: Normalised, ``[B, D]``.
+            action: Suggestions in N groups.
+            critic: Number of a critic for each group, ``[N]``.
+        """
+        form, critics = self.learned.critics.form, self.learned.critics
+        if self.hyper.selector == "one":
+            return score_many(form, critics.pick(critic), obs, action).mean(-1)
+        weights: Weights = critics.weights
+        shared = action.transpose(0, 1).flatten(1, 2).expand(critics.members, -1, -1, -1)
+        value = score_many(form, weights, obs, shared).mean((0, -1))
+        return value.view(len(obs), len(action), -1).transpose(0, 1)

@@ -1,0 +1,142 @@
+"""Returns, advantages and targets over segments that lie one after the other."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from a2s.learner.on_policy.batch import Batch
+
+# Of the size of returns: what varies less is rounding of float32 numbers and their sums.
+RESOLUTION = 2.0**-20
+_LEAST = 1e-30  # what float32 can still be divided by
+
+
+class Estimates(NamedTuple):
+    """Advantage and target of every step, float32 ``[N]`` each."""
+
+    advantage: Tensor
+    target: Tensor
+
+
+def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
+    """Solve ``y[t] = amount[t] + decay[t] * y[t + 1]`` from the end, in double precision.
+
+    Args:
+        amount: ``[N]``.
+        decay: ``[N]``, 0 at the last step of every segment.
+
+    Returns:
+        The sums, float32 ``[N]``.
+    """
+    carry, sums = 0.0, []
+    for here, keep in zip(
+        reversed(amount.double().tolist()), reversed(decay.double().tolist()), strict=True
+    ):
+        carry = here + keep * carry
+        sums.append(carry)
+    sums.reverse()
+    return torch.tensor(sums, dtype=torch.float32)
+
+
+def bootstrap(batch: Batch, final_value: Tensor, *, time_limit_is_terminal: bool) -> Tensor:
+    """What is expected after each segment, ``[S]``: nothing once terminated, else V(final_obs).
+
+    A cut or truncated segment is bootstrapped. ``time_limit_is_terminal`` is the authors' way: a
+    truncated one is not; a cut one still is.
+    """
+    over = batch.terminated | batch.truncated if time_limit_is_terminal else batch.terminated
+    return final_value.masked_fill(over, 0.0)
+
+
+def lambda_estimates(
+    batch: Batch, value: Tensor, after: Tensor, *, gamma: float, lam: float
+) -> Estimates:
+    """Generalised advantage estimates, and TD(lambda) targets, which are those plus the values.
+
+    With ``lam = 1`` the target is the discounted return, bootstrapped where a segment was cut.
+
+    Args:
+        batch: Gives rewards and segments.
+        value: V of every observation before its update, ``[N]``.
+        after: From `bootstrap`, ``[S]``.
+        gamma: Discount.
+        lam: 0..1.
+
+    Source: r^gamma of section 4.1 of the paper for ``lam = 1``; else Schulman et al. 2016, eq. 16.
+    """
+    last = batch.last
+    following = torch.cat([value[1:], value.new_zeros(1)])
+    following[last] = after
+    surprise = batch.reward + gamma * following - value
+    decay = torch.full_like(value, gamma * lam)
+    decay[last] = 0.0
+    advantage = decayed_sums(surprise, decay)
+    return Estimates(advantage, advantage + value)
+
+
+class ReturnScale:
+    """Running mean and standard deviation of targets, which Q and V are trained in units of.
+
+    V computed with the numbers of its last fit is exact: `update` comes between the use of the
+    old predictions and the next fit.
+
+    Args:
+        enabled: When not, mean 0 and standard deviation 1 for ever.
+        window_steps: Steps that are remembered, about.
+    """
+
+    def __init__(self, *, enabled: bool, window_steps: int) -> None:
+        self.enabled = enabled
+        self.window_steps = window_steps
+        self.mean, self.std, self.count = 0.0, 1.0, 0.0
+
+    def update(self, target: Tensor) -> None:
+        """Take targets, ``[N]``, into account."""
+        if not self.enabled:
+            return
+        target = target.double()
+        mean, added = float(target.mean()), float(len(target))
+        variance = float(target.var(correction=0))
+        total = self.count + added
+        shift = mean - self.mean
+        kept = self.std**2 * self.count if self.count else 0.0
+        spread = kept + variance * added + shift**2 * self.count * added / total
+        self.mean += shift * added / total
+        self.std = max((spread / total) ** 0.5, RESOLUTION * abs(self.mean), _LEAST)
+        self.count = min(total, float(self.window_steps))
+
+    def normalise(self, target: Tensor) -> Tensor:
+        """Returns to what the networks are trained on."""
+        return (target - self.mean) / self.std
+
+    def restore(self, value: Tensor) -> Tensor:
+        """What the networks say, in returns."""
+        return value * self.std + self.mean
+
+    def state(self) -> dict[str, float]:
+        """All that changes."""
+        return {"mean": self.mean, "std": self.std, "count": self.count}
+
+    def load(self, state: dict[str, float]) -> None:
+        """Go back to a state."""
+        self.mean, self.std, self.count = state["mean"], state["std"], state["count"]
+
+
+def explained_variance(predicted: Tensor, actual: Tensor) -> float:
+    """``1 - var(actual - predicted) / var(actual)``: 1 is perfect, 0 no better than a constant."""
+    predicted, actual = predicted.double(), actual.double()
+    variance = float(actual.var(correction=0))
+    if variance <= RESOLUTION**2 * float(actual.square().mean()):
+        return 0.0
+    return 1.0 - float((actual - predicted).var(correction=0)) / variance
+
+
+def correlation(left: Tensor, right: Tensor) -> float:
+    """Pearson's correlation of two ``[N]``; 0 where one of them does not vary."""
+    left, right = left.double(), right.double()
+    least = RESOLUTION * left.norm(), RESOLUTION * right.norm()
+    left, right = left - left.mean(), right - right.mean()
+    if left.norm() <= least[0] or right.norm() <= least[1]:
+        return 0.0
+    return float((left / left.norm()) @ (right / right.norm()))

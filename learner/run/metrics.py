@@ -1,0 +1,211 @@
+"""What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import get_args
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Info,
+    PlatformCollector,
+    ProcessCollector,
+    disable_created_metrics,
+    start_http_server,
+)
+
+from a2s import __version__
+from a2s.learner.on_policy.stats import UpdateStats
+from a2s.protocol.codec import SCHEMA_VERSION
+from a2s.protocol.errors import UsageError
+from a2s.protocol.messages import Verdict
+
+_LAGS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 100)
+_SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+
+
+class LearnerMetrics:
+    """The metrics of one learner process, in a registry of their own."""
+
+    def __init__(self) -> None:
+        disable_created_metrics()  # type: ignore[no-untyped-call]
+        self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        PlatformCollector(registry=self.registry)
+        self.build = Info("a2s_build", "What runs here.", registry=self.registry)
+        self.build.info({"version": __version__, "protocol": str(SCHEMA_VERSION)})
+        self.run = Info("a2s_run", "Which run this is.", registry=self.registry)
+
+        self.env_steps = self._counter("env_steps", "Environment steps accepted.")
+        self.received = self._counter(
+            "transitions_received", "Transitions of segments, by the answer.", "result"
+        )
+        for verdict in get_args(Verdict):
+            self.received.labels(result=verdict)  # 0 from the beginning: a share needs both sides
+        self.refused = self._counter(
+            "messages_refused", "Unusable messages, by kind and reason.", "message", "reason"
+        )
+        self.episodes = self._counter("episodes", "Finished episodes.")
+        self.updates = self._counter("updates", "Updates: batches learned from.")
+        self.gradient_steps = self._counter("gradient_steps", "Gradient steps.", "network")
+        self.starved = self._counter("starved_seconds", "Time spent waiting for a batch.")
+        self.joins = self._counter("actor_joins", "Actors that joined.")
+        self.leaves = self._counter("actor_leaves", "Actors that left.", "reason")
+        self.recoveries = self._counter("recoveries", "Recoveries of the best networks.")
+        self.published = self._counter("weights_published", "Versions of weights published.")
+        self.checkpoint_failures = self._counter(
+            "checkpoint_failures", "Checkpoints that could not be written."
+        )
+
+        self.return_mean = self._unknown(
+            "episode_return_mean", "Mean return of the last 100 episodes."
+        )
+        self.return_min = self._unknown("episode_return_min", "Least of the last 100 episodes.")
+        self.return_max = self._unknown("episode_return_max", "Greatest of the last 100 episodes.")
+        self.length_mean = self._unknown(
+            "episode_length_mean_steps", "Mean length of the last 100 episodes."
+        )
+        self.episode_info = self._gauge(
+            "episode_info_mean", "What environments told of the last 100 episodes.", "metric"
+        )
+        self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
+        self.loss = self._gauge("loss", "Losses of the latest update.", "loss")
+        self.kl = self._unknown("kl", "KL divergence of the latest update, nats.")
+        self.entropy = self._unknown("entropy", "Entropy of the policy, nats.")
+        self.policy_std = self._unknown("policy_std", "Mean standard deviation of the policy.")
+        self.learning_rate = self._gauge("learning_rate", "Learning rate.", "network")
+        self.explained = self._gauge(
+            "explained_variance", "Of returns, before they are fitted.", "network"
+        )
+        self.q_trusted = self._unknown(
+            "q_trusted", "1 when the next suggester lets Q choose, otherwise 0."
+        )
+        self.q_action_correlation = self._unknown(
+            "q_action_correlation",
+            "Of Q - V with target - V before they are fitted: does Q know the actions apart?",
+        )
+        self.temperature = self._unknown("temperature", "Weight of the entropy, off-policy.")
+        self.q_mean = self._unknown("q_mean", "Mean of Q on the batches, in returns, off-policy.")
+        self.replay_rows = self._unknown("replay_transitions", "Transitions in the replay.")
+        self.replay_torn = self._counter(
+            "replay_torn_records", "Pieces of segments that a kill had torn, cut when opened."
+        )
+        self.limiter_error = self._unknown(
+            "samples_per_insert_error",
+            "Transitions by which sampling is behind its wanted ratio; negative: ahead.",
+        )
+        self.limiter_waits = self._counter(
+            "samples_per_insert_waits", "Times that a side was ahead and had to wait.", "side"
+        )
+        self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
+        self.recovery_best = self._unknown("recovery_best_return", "r* of equation 5.")
+        self.epoch = self._gauge("epoch", "Recovery epoch: recoveries so far.")
+        self.generation = self._gauge("generation", "Starts of the learner within this run.")
+        self.actors = self._gauge("actors", "Actors present.")
+        self.queue = self._gauge("ingest_queue_transitions", "Transitions that wait for an update.")
+        self.weights_version = self._gauge("weights_version", "Newest version.")
+        self.weights_bytes = self._gauge("weights_bytes", "Size of the newest graph.")
+        self.checkpoint_time = self._unknown(
+            "checkpoint_timestamp_seconds", "When the latest checkpoint was written."
+        )
+        self.checkpoint_bytes = self._unknown("checkpoint_bytes", "Size of the latest checkpoint.")
+
+        self.policy_lag = self._histogram(
+            "policy_lag_updates", "Versions that accepted segments were behind.", _LAGS
+        )
+        self.update_seconds = Histogram(
+            "a2s_learner_update_seconds",
+            "Where the time of an update goes.",
+            ["phase"],
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
+        self.checkpoint_seconds = self._histogram(
+            "checkpoint_seconds", "Time to write a checkpoint.", _SECONDS
+        )
+
+    def _counter(self, name: str, text: str, *labels: str) -> Counter:
+        return Counter(f"a2s_learner_{name}", text, labels, registry=self.registry)
+
+    def _gauge(self, name: str, text: str, *labels: str) -> Gauge:
+        return Gauge(f"a2s_learner_{name}", text, labels, registry=self.registry)
+
+    def _unknown(self, name: str, text: str) -> Gauge:
+        """Make a gauge that is NaN, and not a plausible 0, until there is something to show."""
+        gauge = self._gauge(name, text)
+        gauge.set(math.nan)
+        return gauge
+
+    def _histogram(self, name: str, text: str, buckets: tuple[float, ...]) -> Histogram:
+        return Histogram(f"a2s_learner_{name}", text, buckets=buckets, registry=self.registry)
+
+    def show_update(self, stats: UpdateStats) -> None:
+        """Show the numbers of an update."""
+        self.updates.inc()
+        for network in ("q", "value"):
+            self.explained.labels(network=network).set(
+                getattr(stats, f"{network}_explained_variance")
+            )
+            self.learning_rate.labels(network=network).set(stats.critic_learning_rate)
+            self.gradient_steps.labels(network=network).inc(getattr(stats, f"{network}_fit_steps"))
+            self.loss.labels(loss=network).set(getattr(stats, f"{network}_loss"))
+        self.learning_rate.labels(network="policy").set(stats.learning_rate)
+        self.loss.labels(loss="policy").set(stats.policy_loss)
+        self.loss.labels(loss="distil").set(stats.distil_loss)
+        self.kl.set(stats.kl)
+        self.entropy.set(stats.entropy)
+        self.policy_std.set(stats.std)
+        self.q_trusted.set(stats.q_trusted)
+        self.q_action_correlation.set(stats.q_action_correlation)
+        if stats.recovery is not None and stats.recovery.r is not None:
+            self.recovery_return.set(stats.recovery.r)
+            best = stats.recovery.r_best
+            self.recovery_best.set(stats.recovery.r if best is None else best)
+
+    def show_off_policy(self, row: Mapping[str, float], gradient_steps: int) -> None:
+        """Show the means over the updates of a round, and how many they were."""
+        self.updates.inc()
+        for network in ("q", "policy"):
+            self.gradient_steps.labels(network=network).inc(gradient_steps)
+            self.loss.labels(loss=network).set(row[f"{network}_loss"])
+        self.entropy.set(row["entropy"])
+        self.temperature.set(row["temperature"])
+        self.q_mean.set(row["q_mean"])
+
+    def show_episodes(
+        self, returns: Sequence[float], lengths: Sequence[int], info: Mapping[str, float]
+    ) -> None:
+        """Show the latest episodes."""
+        for name, mean in info.items():
+            self.episode_info.labels(metric=name).set(mean)
+        if returns:
+            self.return_mean.set(sum(returns) / len(returns))
+            self.return_min.set(min(returns))
+            self.return_max.set(max(returns))
+            self.length_mean.set(sum(lengths) / len(lengths))
+
+    def serve(self, host: str, port: int) -> tuple[int, Callable[[], None]]:
+        """Serve the metrics over HTTP.
+
+        Returns:
+            The port, a free one when ``port`` is 0, and what ends the server.
+
+        Raises:
+            UsageError: The port is taken.
+        """
+        try:
+            server, thread = start_http_server(port, addr=host, registry=self.registry)
+        except OSError as error:
+            raise UsageError(
+                f"metrics port {port}: {error.strerror}; "
+                "choose another with --metrics-port, 0 = any"
+            ) from None
+
+        def stop() -> None:
+            server.shutdown()
+            server.server_close()
+            thread.join()
+
+        return int(server.server_port), stop

@@ -1,0 +1,111 @@
+"""The accounts: exactly once, whatever is killed, and they always balance."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from a2s.learner.ingest.ledger import Accounts, Ledger
+from a2s.protocol.errors import RunDirectoryError
+
+NoRoom = Callable[[], AbstractContextManager[None]]
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["a", "b"]),
+        st.integers(0, 12),
+        st.sampled_from(["accepted", "stale", "refused"]),
+    )
+)
+
+
+def _balances(accounts: Accounts) -> bool:
+    parts = accounts.accepted + accounts.stale + accounts.refused + accounts.lost
+    return accounts.sent == parts
+
+
+def test_a_segment_is_known_from_its_first_answer_on(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "segments.log")
+    assert not ledger.has("a", 0)
+    ledger.record("a", 0, "accepted", 100)
+    assert ledger.has("a", 0)
+    assert not ledger.has("b", 0)
+    assert ledger.accounts() == Accounts(
+        sent=1, accepted=1, duplicate=1, stale=0, refused=0, lost=0
+    )
+
+
+def test_a_gap_in_the_numbers_is_lost_until_it_is_filled(tmp_path: Path) -> None:
+    """Numbers begin where the actor is: it may have served an earlier run."""
+    ledger = Ledger(tmp_path / "segments.log")
+    for seq, sent, lost in [(7, 1, 0), (10, 4, 2), (8, 4, 1), (5, 6, 2)]:
+        ledger.record("a", seq, "accepted", 5)
+        assert (ledger.accounts().sent, ledger.accounts().lost) == (sent, lost)
+
+
+def test_a_number_far_away_is_recognised_without_being_counted_to(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path / "segments.log")
+    assert not ledger.leaps("a", 2**62)
+    ledger.record("a", 5, "accepted", 5)
+    assert [ledger.leaps("a", seq) for seq in (6, 10_005, 10_006, 2**62)] == [False] * 2 + [
+        True
+    ] * 2
+
+
+@given(events=EVENTS)
+def test_accounts_balance_and_survive_a_restart(
+    tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, str]]
+) -> None:
+    path = tmp_path_factory.mktemp("ledger") / "segments.log"
+    ledger = Ledger(path)
+    for actor, seq, verdict in events:
+        if not ledger.has(actor, seq):
+            ledger.record(actor, seq, verdict, 3)  # type: ignore[arg-type]
+    before = ledger.accounts()
+    assert _balances(before)
+    assert before.duplicate + before.sent - before.lost == len(events)
+    ledger.close()
+    again = Ledger(path)
+    for name in ("sent", "accepted", "stale", "refused", "lost"):
+        assert getattr(again.accounts(), name) == getattr(before, name)
+    assert again.accepted_steps == 3 * before.accepted
+    assert all(again.has(actor, seq) for actor, seq, _ in events)
+
+
+def test_a_line_torn_by_a_kill_is_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "segments.log"
+    path.write_text("a 0 accepted 7\na 1 acce")
+    ledger = Ledger(path)
+    assert (ledger.has("a", 0), ledger.has("a", 1)) == (True, False)
+    ledger.record("a", 1, "stale", 7)
+    ledger.close()
+    assert path.read_text() == "a 0 accepted 7\na 1 stale 7\n"
+
+
+def test_a_file_of_another_kind_is_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "segments.log"
+    path.write_text("wall_s,return\n1,2\n")
+    with pytest.raises(RunDirectoryError, match=r"segments\.log: found 'wall_s,return'"):
+        Ledger(path)
+    assert path.read_text() == "wall_s,return\n1,2\n"
+
+
+def test_an_answer_for_which_there_is_no_room_leaves_no_trace(
+    tmp_path: Path, no_room: NoRoom
+) -> None:
+    """Also not a half of its line, which the next would be glued to."""
+    path = tmp_path / "segments.log"
+    ledger = Ledger(path)
+    for seq in range(6):
+        ledger.record("a", seq, "accepted", 4)
+    with no_room(), pytest.raises(RunDirectoryError, match=r"File too large; mend that and resume"):
+        ledger.record("a", 6, "accepted", 4)
+    assert path.stat().st_size == 100
+    assert not ledger.knows("a", 6)
+    ledger.record("b", 0, "accepted", 4)
+    ledger.close()
+    again = Ledger(path)
+    assert again.accounts() == ledger.accounts()
+    assert again.accepted_steps == 28

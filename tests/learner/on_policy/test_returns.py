@@ -1,0 +1,184 @@
+"""Returns, advantages and targets, against the definition written out slowly."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.returns import (
+    ReturnScale,
+    bootstrap,
+    correlation,
+    decayed_sums,
+    explained_variance,
+    lambda_estimates,
+)
+
+
+def batch_of(
+    reward: Tensor, lengths: list[int], terminated: list[bool], truncated: list[bool]
+) -> Batch:
+    """Build a batch of which only rewards and segments matter."""
+    steps, segments = len(reward), len(lengths)
+    return Batch(
+        obs=torch.zeros(steps, 2),
+        suggestion=torch.zeros(steps, 1),
+        log_prob=torch.zeros(steps),
+        reward=reward,
+        lengths=torch.tensor(lengths),
+        weights_version=torch.zeros(segments, dtype=torch.int64),
+        final_obs=torch.zeros(segments, 2),
+        terminated=torch.tensor(terminated),
+        truncated=torch.tensor(truncated),
+        episode_returns=torch.zeros(0),
+    )
+
+
+def _cut(lengths: list[int], *rows: Tensor) -> list[list[Tensor]]:
+    ends = torch.tensor(lengths).cumsum(0).tolist()[:-1]
+    return [list(each.tensor_split(ends)) for each in rows]
+
+
+def slow_advantage(
+    reward: list[float], value: list[float], after: float, gamma: float, lam: float
+) -> list[float]:
+    """One segment: the lambda-weighted average of all n-step advantages, by definition."""
+    steps = len(reward)
+    values = [*value, after]
+    found = []
+    for t in range(steps):
+        n_step = [
+            sum(gamma**i * reward[t + i] for i in range(n)) + gamma**n * values[t + n] - value[t]
+            for n in range(1, steps - t + 1)
+        ]
+        weights = [(1 - lam) * lam**i for i in range(len(n_step) - 1)]
+        weights.append(lam ** (len(n_step) - 1))
+        found.append(sum(w * a for w, a in zip(weights, n_step, strict=True)))
+    return found
+
+
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    gamma=st.floats(0.5, 1.0),
+    lam=st.floats(0.0, 1.0),
+    seed=st.integers(0, 1000),
+)
+def test_estimates_agree_with_the_definition(
+    lengths: list[int], gamma: float, lam: float, seed: int
+) -> None:
+    """Segments of random lengths, none of them ended."""
+    generator = torch.Generator().manual_seed(seed)
+    reward = torch.randn(sum(lengths), generator=generator)
+    value = torch.randn(sum(lengths), generator=generator)
+    after = torch.randn(len(lengths), generator=generator)
+    ends = [False] * len(lengths)
+    found = lambda_estimates(
+        batch_of(reward, lengths, ends, ends), value, after, gamma=gamma, lam=lam
+    )
+    expected: list[float] = []
+    for r, v, a in zip(*_cut(lengths, reward, value), after, strict=True):
+        expected += slow_advantage(r.tolist(), v.tolist(), float(a), gamma, lam)
+    torch.testing.assert_close(found.advantage, torch.tensor(expected), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(found.target, found.advantage + value)
+
+
+def test_target_of_lambda_one_is_the_discounted_return() -> None:
+    """V cancels from it."""
+    batch = batch_of(torch.tensor([1.0, 2.0, 4.0]), [3], [True], [False])
+    found = lambda_estimates(batch, torch.randn(3), torch.zeros(1), gamma=0.5, lam=1.0)
+    torch.testing.assert_close(found.target, torch.tensor([3.0, 4.0, 4.0]))  # 1 + .5 (2 + .5 4)
+
+
+def test_only_termination_ends_what_is_expected() -> None:
+    """Terminated, truncated, cut; and the authors' way."""
+    batch = batch_of(torch.zeros(3), [1, 1, 1], [True, False, False], [False, True, False])
+    final = torch.tensor([7.0, 8.0, 9.0])
+    modern = bootstrap(batch, final, time_limit_is_terminal=False)
+    authors = bootstrap(batch, final, time_limit_is_terminal=True)
+    assert modern.tolist() == [0.0, 8.0, 9.0]
+    assert authors.tolist() == [0.0, 0.0, 9.0]
+
+
+def test_nothing_leaks_from_one_segment_into_another() -> None:
+    """They only lie beside each other."""
+    ends = [True, True]
+    first = batch_of(torch.tensor([1.0, 1.0, 5.0]), [2, 1], ends, [False, False])
+    other = batch_of(torch.tensor([1.0, 1.0, 99.0]), [2, 1], ends, [False, False])
+    zeros = torch.zeros(3)
+    one = lambda_estimates(first, zeros, torch.zeros(2), gamma=0.9, lam=0.9).advantage
+    two = lambda_estimates(other, zeros, torch.zeros(2), gamma=0.9, lam=0.9).advantage
+    assert one[:2].tolist() == two[:2].tolist()
+
+
+def test_sums_decay_backwards() -> None:
+    """By hand: 1, 1 + .5, 1 + .5 * 1.5."""
+    found = decayed_sums(torch.tensor([1.0, 1.0, 1.0]), torch.tensor([0.5, 0.5, 0.0]))
+    assert found.tolist() == [1.75, 1.5, 1.0]
+
+
+def test_scale_of_returns_has_the_moments_of_all_targets() -> None:
+    """Within the window."""
+    scale = ReturnScale(enabled=True, window_steps=10_000)
+    parts = [torch.randn(100) * 3 + 5, torch.randn(50) - 20, torch.randn(7)]
+    for part in parts:
+        scale.update(part)
+    everything = torch.cat(parts)
+    assert scale.mean == pytest.approx(float(everything.mean()), rel=1e-4)
+    assert scale.std == pytest.approx(float(everything.std(correction=0)), rel=1e-4)
+    torch.testing.assert_close(scale.restore(scale.normalise(parts[0])), parts[0])
+
+
+def test_scale_of_returns_forgets_beyond_its_window() -> None:
+    """Returns grow while one learns."""
+    scale = ReturnScale(enabled=True, window_steps=100)
+    for _ in range(30):
+        scale.update(torch.zeros(100) + 1000)
+    for _ in range(30):
+        scale.update(torch.randn(100))
+    assert abs(scale.mean) < 1.0
+    assert scale.std < 2.0
+
+
+def test_explained_variance_of_perfection_is_one_and_of_a_constant_zero() -> None:
+    """And of nothing to explain 0."""
+    actual = torch.tensor([1.0, 2.0, 3.0])
+    assert explained_variance(actual, actual) == pytest.approx(1.0)
+    assert explained_variance(torch.zeros(3), actual) == pytest.approx(0.0)
+    assert explained_variance(actual, torch.ones(3)) == 0.0
+    assert explained_variance(actual, torch.full((3,), 0.1)) == 0.0
+
+
+def test_correlation_has_its_sign() -> None:
+    """And is 0 where nothing varies."""
+    left = torch.tensor([1.0, 2.0, 4.0])
+    assert correlation(left, -2 * left + 1) == pytest.approx(-1.0)
+    assert correlation(left, torch.ones(3)) == 0.0
+    assert correlation(left, torch.full((3,), 0.1)) == 0.0
+
+
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**-20, 2.0**30])
+def test_the_unit_of_returns_does_not_matter(unit: float) -> None:
+    """Nothing is too small to be told from rounding by itself."""
+    target, predicted = torch.randn(50) + 3, torch.randn(50)
+    one, other = (ReturnScale(enabled=True, window_steps=100) for _ in range(2))
+    for _ in range(3):
+        one.update(target)
+        other.update(unit * target)
+    torch.testing.assert_close(other.normalise(unit * target), one.normalise(target))
+    assert explained_variance(unit * predicted, unit * target) == pytest.approx(
+        explained_variance(predicted, target)
+    )
+    assert correlation(unit * predicted, unit * target) == pytest.approx(
+        correlation(predicted, target)
+    )
+
+
+def test_the_scale_of_returns_that_are_all_alike_is_no_rounding() -> None:
+    """A millionth of them; and of none at all there is one that can be divided by."""
+    alike, nothing = (ReturnScale(enabled=True, window_steps=100) for _ in range(2))
+    alike.update(torch.full((10,), 3.0))
+    assert alike.std == 3.0 * 2.0**-20
+    nothing.update(torch.zeros(10))
+    assert nothing.normalise(torch.zeros(3)).tolist() == [0.0] * 3

@@ -1,0 +1,87 @@
+"""Suggesting and picking."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from a2s.learner.on_policy.suggestion import (
+    as_q_sees,
+    select_first,
+    select_hard,
+    select_soft,
+    suggest,
+    take,
+)
+from a2s.protocol.errors import A2SError
+
+
+def test_suggestions_are_mean_plus_scaled_noise() -> None:
+    """Zero noise is the mean."""
+    mean, std = torch.tensor([[1.0, -1.0]]), torch.tensor([0.5, 2.0])
+    normal = torch.tensor([[[0.0, 0.0], [1.0, -1.0]]])
+    assert suggest(mean, std, normal).tolist() == [[[1.0, -1.0], [1.5, -3.0]]]
+
+
+def test_q_sees_clipped_suggestions_in_clip_mode_only() -> None:
+    """The environment executes the clipped one."""
+    suggestion = torch.tensor([[1.5, -3.0, 0.2]])
+    torch.testing.assert_close(as_q_sees(suggestion, "clip"), torch.tensor([[1.0, -1.0, 0.2]]))
+    assert as_q_sees(suggestion, "raw") is suggestion
+
+
+def test_among_equals_the_first_is_picked() -> None:
+    """A tie must not depend on the machine."""
+    q_value = torch.tensor([[1.0, 3.0, 3.0], [2.0, 2.0, 2.0], [0.0, 1.0, 5.0]])
+    assert select_hard(q_value).tolist() == [1, 0, 2]
+    assert select_soft(q_value, torch.zeros(3, 3), 1.0).tolist() == [1, 0, 2]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_scores_that_are_not_finite_are_refused(bad: float) -> None:
+    """An argmax over nan picks something silently."""
+    q_value = torch.tensor([[1.0, bad]])
+    with pytest.raises(A2SError, match="found 1 non-finite of 2, expected finite"):
+        select_hard(q_value)
+    with pytest.raises(A2SError, match="found 1 non-finite of 2, expected finite"):
+        select_soft(q_value, torch.zeros(1, 2), 1.0)
+
+
+@pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0])
+def test_soft_selection_draws_from_the_softmax_of_standardised_scores(temperature: float) -> None:
+    """Frequencies of 40000 draws."""
+    generator = torch.Generator().manual_seed(0)
+    q_value = torch.tensor([[3.0, 10.0, 4.0, -2.0]])
+    rows = 40_000
+    gumbel = -torch.log(-torch.log(torch.rand(rows, 4, generator=generator)))
+    drawn = select_soft(q_value.expand(rows, 4), gumbel, temperature)
+    z = (q_value - q_value.mean()) / q_value.std(correction=0)
+    expected = torch.softmax(z / temperature, 1)[0]
+    frequency = torch.bincount(drawn, minlength=4) / rows
+    torch.testing.assert_close(frequency, expected, atol=0.01, rtol=0.0)
+
+
+@given(seed=st.integers(0, 100), shift=st.floats(-1e3, 1e3), scale=st.floats(0.1, 100.0))
+def test_soft_selection_ignores_the_scale_and_origin_of_q(
+    seed: int, shift: float, scale: float
+) -> None:
+    """The temperature is in units of the spread."""
+    generator = torch.Generator().manual_seed(seed)
+    q_value = torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    gumbel = torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    before = select_soft(q_value, gumbel, 1.0)
+    assert before.tolist() == select_soft(q_value * scale + shift, gumbel, 1.0).tolist()
+
+
+def test_soft_selection_of_equal_scores_is_left_to_the_noise() -> None:
+    """A spread of 0 divides nothing."""
+    gumbel = torch.tensor([[0.1, 2.0, 0.3]])
+    assert select_soft(torch.full((1, 3), 7.0), gumbel, 1.0).tolist() == [1]
+
+
+def test_untrained_choice_is_the_first() -> None:
+    """All are drawn alike."""
+    normal = torch.randn(4, 3, 2)
+    assert take(normal, select_first(normal)).tolist() == normal[:, 0].tolist()

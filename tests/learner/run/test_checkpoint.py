@@ -1,0 +1,85 @@
+"""Checkpoints: whole or not at all, and a damaged one is never used."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from a2s.learner.run import checkpoint
+from a2s.protocol.errors import RunDirectoryError
+
+TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "generator": torch.Generator().get_state()}
+STATE = {"updates": 3, "best": None, "r": [0.1, -2.5e-300]}
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    path, size = checkpoint.save(tmp_path / "c", 3, TENSORS, STATE, kind="k")
+    tensors, state = checkpoint.load(tmp_path / "c", kind="k")
+    assert state == STATE
+    assert all(torch.equal(tensors[name], tensor) for name, tensor in TENSORS.items())
+    assert tensors["generator"].dtype == torch.uint8
+    assert size == sum(file.stat().st_size for file in path.iterdir())
+
+
+def test_the_newest_is_loaded_and_three_are_kept(tmp_path: Path) -> None:
+    for updates in (1, 20, 40, 60, 1000):
+        checkpoint.save(tmp_path, updates, TENSORS, {"updates": updates}, kind="k")
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1000}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["00000040", "00000060", "00001000"]
+
+
+def test_one_of_the_same_update_takes_the_place_of_none(tmp_path: Path) -> None:
+    """Whoever is killed while it is written loses nothing."""
+    for count in range(5):
+        checkpoint.save(tmp_path, 7, TENSORS, {"count": count}, kind="k")
+        assert checkpoint.load(tmp_path, kind="k")[1] == {"count": count}
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "00000007-0002", "00000007-0003", "00000007-0004"
+    ]  # fmt: skip
+    checkpoint.save(tmp_path, 8, TENSORS, {"count": 5}, kind="k")
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"count": 5}
+
+
+def test_one_of_another_kind_is_refused(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="off-policy on Hopper-v5")
+    with pytest.raises(RunDirectoryError, match="found off-policy on Hopper-v5, expected k; --res"):
+        checkpoint.load(tmp_path, kind="k")
+
+
+def test_one_that_was_not_finished_is_not_seen(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path, 1, TENSORS, {"updates": 1}, kind="k")
+    (tmp_path / ".00000002.partial").mkdir()
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1}
+
+
+@pytest.mark.parametrize("name", ["tensors.safetensors", "state.json"])
+@pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
+def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, damage: str) -> None:
+    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
+    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
+    file = path / name
+    data = bytearray(file.read_bytes())
+    if damage == "remove":
+        file.unlink()
+    else:
+        data[len(data) // 2] ^= 0xFF
+        file.write_bytes(data if damage == "flip" else data[: len(data) // 2])
+    with pytest.raises(
+        RunDirectoryError, match=r"00000002.*delete .* to go on from the one before"
+    ):
+        checkpoint.load(tmp_path, kind="k")
+
+
+def test_resuming_without_one_says_so(tmp_path: Path) -> None:
+    """Not to start without --resume, which says to add it."""
+    words = f"found no checkpoint to go on from; name another --run-dir, or delete {tmp_path}$"
+    with pytest.raises(RunDirectoryError, match=words):
+        checkpoint.load(tmp_path / "none", kind="k")
+
+
+def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
+    path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
+    text = (path / "state.json").read_text()
+    (path / "state.json").write_text(text.replace('"format": 3', '"format": 2'))
+    with pytest.raises(RunDirectoryError, match="found format 2, expected 3; another version"):
+        checkpoint.load(tmp_path, kind="k")

@@ -1,0 +1,138 @@
+"""The directory of a run: where it is, and what stands in it."""
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from a2s.learner.run.directory import RunDirectory, choose, claimed, write_atomically
+from a2s.protocol.errors import RunDirectoryError, UsageError
+
+NoRoom = Callable[[], AbstractContextManager[None]]
+
+
+def _made(path: Path) -> Path:
+    path.mkdir(parents=True)
+    (path / "config.toml").touch()
+    return path
+
+
+def test_a_run_gets_a_directory_of_its_own(tmp_path: Path) -> None:
+    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop"
+    _made(tmp_path / "hop")
+    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-2"
+    _made(tmp_path / "hop-2")
+    (tmp_path / "hop-3").mkdir()
+    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-4"
+    assert choose(tmp_path, "hop", None, resume=True) == tmp_path / "hop-2"  # 3 never began
+
+
+def test_a_named_directory_is_never_overwritten(tmp_path: Path) -> None:
+    path = _made(tmp_path / "mine")
+    assert choose(tmp_path, "hop", path, resume=True) == path
+    with pytest.raises(UsageError, match="holds a run; add --resume, or name another"):
+        choose(tmp_path, "hop", path, resume=False)
+
+
+def test_nothing_to_resume_is_said(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="found no run 'hop'"):
+        choose(tmp_path, "hop", None, resume=True)
+
+
+def test_files_are_continued_and_redone_updates_are_forgotten(tmp_path: Path) -> None:
+    for _ in range(2):
+        directory = RunDirectory(tmp_path, ("update", "loss"), lambda: 1.5)
+        directory.update({"update": 1, "loss": 0.123456789})
+        directory.update({"update": 2, "loss": float("nan")})
+        directory.event("start", generation=directory.count_start())
+        directory.close()
+    directory = RunDirectory(tmp_path, ("update", "loss"), lambda: 1.5)
+    directory.keep_updates(1)
+    directory.update({"update": 2, "loss": 0.5})
+    directory.close()
+    assert (tmp_path / "updates.csv").read_text() == "update,loss\n1,0.123456789\n2,0.5\n"
+    events = [json.loads(x) for x in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert [(e["event"], e["generation"], e["wall_s"]) for e in events] == [
+        ("start", 1, 1.5),
+        ("start", 2, 1.5),
+    ]
+
+
+def test_a_table_of_updates_keeps_the_columns_that_it_began_with(tmp_path: Path) -> None:
+    """A version that has others goes on with it."""
+    before = RunDirectory(tmp_path, ("update", "gone", "loss"), lambda: 0.0)
+    before.update({"update": 1, "gone": 0.25, "loss": 2.0})
+    before.close()
+    now = RunDirectory(tmp_path, ("update", "loss", "new"), lambda: 0.0)
+    now.keep_updates(1)
+    now.update({"update": 2, "loss": 0.5, "new": 3.0})
+    now.close()
+    assert (tmp_path / "updates.csv").read_text() == "update,gone,loss\n1,0.25,2\n2,,0.5\n"
+
+
+def test_episodes_are_read_back(tmp_path: Path) -> None:
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    row = {"env_steps": 5, "actor": 0, "weights_version": 1, "length": 5, "terminated": 1}
+    directory.episode({}, **row, **{"return": "-3.25"})
+    assert list(directory.read_episodes()) == [(0.0, -3.25, 5, {})]
+    directory.close()
+    header, line = (tmp_path / "episodes.csv").read_text().splitlines()
+    assert header == "wall_s,env_steps,actor,weights_version,return,length,terminated"
+    assert line == "0.000,5,0,1,-3.25,5,1"
+
+
+def test_what_environments_tell_has_columns_from_the_first_episode_that_has_it(
+    tmp_path: Path,
+) -> None:
+    row = {"env_steps": 5, "actor": 0, "weights_version": 1, "return": "1", "length": 5}
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    directory.episode({}, **row, terminated=1)
+    directory.episode({"is_success": 1.0}, **row, terminated=1)
+    directory.close()
+    again = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    again.episode({"distance": 0.25}, **row, terminated=0)
+    told = [metrics for *_, metrics in again.read_episodes()]
+    assert told == [{}, {"is_success": 1.0}, {"distance": 0.25}]
+    again.close()
+    header, first, *_, last = (tmp_path / "episodes.csv").read_text().splitlines()
+    assert header.endswith(",terminated,is_success,distance")
+    assert (first, last) == ("0.000,5,0,1,1,5,1,,", "0.000,5,0,1,1,5,0,,0.25")
+
+
+@pytest.mark.parametrize("torn", ["1.000,9", "1.000,9,0,1,-3.25,5,1"])
+def test_a_torn_row_is_forgotten(tmp_path: Path, torn: str) -> None:
+    RunDirectory(tmp_path, ("update",), lambda: 0.0).close()
+    with (tmp_path / "episodes.csv").open("a") as file:
+        file.write(f"0.000,5,0,1,1.5,5,1\r\n{torn}")
+    directory = RunDirectory(tmp_path, ("update",), lambda: 2.0)
+    row = {"env_steps": 7, "actor": 0, "weights_version": 1, "length": 2, "terminated": 1}
+    directory.episode({}, **row, **{"return": "2.5"})
+    assert list(directory.read_episodes()) == [(0.0, 1.5, 5, {}), (2.0, 2.5, 2, {})]
+    directory.close()
+
+
+def test_one_learner_is_at_work_in_a_directory(tmp_path: Path) -> None:
+    with (
+        claimed(tmp_path / "run"),
+        pytest.raises(RunDirectoryError, match=r"run: another learner is at work there"),
+        claimed(tmp_path / "run"),
+    ):
+        pass
+    with claimed(tmp_path / "run"):
+        pass
+
+
+def test_a_file_for_which_there_is_no_room_is_named_and_the_old_one_kept(
+    tmp_path: Path, no_room: NoRoom
+) -> None:
+    path = tmp_path / "policy.onnx"
+    write_atomically(path, b"old")
+    with no_room(), pytest.raises(RunDirectoryError, match=r"policy.onnx: File too large"):
+        write_atomically(path, bytes(1000))
+    assert path.read_bytes() == b"old"
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    with no_room(), pytest.raises(RunDirectoryError, match=r"updates.csv: File too large"):
+        directory.update({"update": "1" * 1000})
+    directory.close()

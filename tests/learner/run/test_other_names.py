@@ -1,0 +1,61 @@
+"""Names of other libraries lead to ours."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from a2s import cli
+from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.run.config import RunConfig, assemble, read
+from a2s.learner.run.other_names import OFF_POLICY, ON_POLICY, REMOVED, RUN, meant
+from a2s.protocol.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("table", "settings"),
+    [(ON_POLICY, OnPolicyHyper), (OFF_POLICY, OffPolicyHyper), (RUN, RunConfig)],
+)
+def test_every_name_leads_to_one_of_ours_and_is_none_itself(
+    table: Mapping[str, str], settings: Any
+) -> None:
+    ours = {field.name for field in fields(settings)}
+    assert set(table.values()) <= ours
+    assert not set(table) & ours
+
+
+def test_what_is_said_to_be_an_option_is_one() -> None:
+    learner = get_command(cli.app).commands["learner"]  # type: ignore[attr-defined]
+    options = {option for parameter in learner.params for option in parameter.opts}
+    for name in set(RUN) - set(ON_POLICY) - set(OFF_POLICY):
+        (option,) = meant(name, {}, ON_POLICY).strip(" ()").split()[-1:]
+        assert option in options
+
+
+def test_a_name_that_nobody_has_is_told_the_nearest() -> None:
+    assert meant("gama", {"gamma", "tau"}, ON_POLICY) == " (did you mean 'gamma'?)"
+
+
+@pytest.mark.parametrize(
+    ("variant", "name"), [(variant, name) for variant, gone in REMOVED.items() for name in gone]
+)
+def test_a_name_that_is_gone_is_told_why(variant: str, name: str) -> None:
+    said = rf"unknown hyperparameter '{name}' \(removed: .+\)"
+    with pytest.raises(UsageError, match=f"^{said}$"):
+        assemble({"variant": variant}, {name: "0.5"})
+
+
+def test_a_file_may_have_what_is_gone_where_it_changed_nothing(tmp_path: Path) -> None:
+    """With any other value it stays, to be refused, and where it still is a name."""
+    file = tmp_path / "config.toml"
+    values = "optimism = 0.0\nselection_fades = false\ndistil_top = 1\ndistil_weight = 0.2\n"
+    file.write_text(f"[run]\nvariant = 'off-policy'\n[hyper]\ntau = 0.5\n{values}")
+    assert read(file)[1] == {"tau": 0.5, "distil_weight": 0.2}
+    file.write_text(f"[hyper]\n{values}critics = 1\ntarget_lambda = 0.9\n")
+    assert read(file)[1] == {
+        "optimism": 0.0, "selection_fades": False, "distil_top": 1, "target_lambda": 0.9,
+    }  # fmt: skip

@@ -1,0 +1,20 @@
+"""The on-policy variant behind the learner's loop."""
+
+import numpy as np
+
+from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.on_policy_trainer import OnPolicyLearning
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.protocol.fields import Spaces
+
+SPACES = Spaces(
+    obs_size=3,
+    action_low=np.full(2, -1, dtype=np.float32),
+    action_high=np.full(2, 1, dtype=np.float32),
+)
+
+
+def test_actors_wait_while_a_whole_batch_waits() -> None:
+    learning = OnPolicyLearning(SPACES, on_policy("modern", "a2s", {}), 0, LearnerMetrics(), None)
+    assert learning.hold_s(0.99) == 0.0
+    assert learning.hold_s(1.0) > 0.0

@@ -1,0 +1,164 @@
+"""A learner without actors keeps only what can be gone on with."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.served import ServedReplay
+from a2s.learner.replay_trainer import FromReplay
+from a2s.learner.run import checkpoint
+from a2s.learner.run.config import assemble
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.protocol.errors import A2SError, RunDirectoryError, UnreachableError, UsageError
+from a2s.protocol.fields import Spaces
+from a2s.protocol.in_process import Exchange, InProcessBus
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import Segment
+
+SPACES = Spaces(
+    obs_size=3,
+    action_low=np.full(2, -1, dtype=np.float32),
+    action_high=np.full(2, 1, dtype=np.float32),
+)
+SMALL = {"critic_sizes": "8", "policy_sizes": "8", "batch_rows": "8", "warm_up_steps": "8"}
+
+
+def replay(reward: float, spaces: Spaces = SPACES) -> Replay:
+    """Twenty steps with the same reward."""
+    made = Replay.in_memory("Test-v0", spaces, 100)
+    size = spaces.obs_size
+    rng = np.random.default_rng(0)
+    made.insert(
+        Segment(
+            actor="a", seq=0, generation=1, epoch=0, weights_version=1, env=0,
+            obs=rng.standard_normal((20, size)).astype(np.float32),
+            suggestion=rng.uniform(-1, 1, (20, 2)).astype(np.float32),
+            log_prob=np.zeros(20, np.float32), reward=np.full(20, reward, np.float32),
+            final_obs=np.zeros(size, np.float32), terminated=True, truncated=False,
+            episode_return=0.0, episode_length=20,
+        )
+    )  # fmt: skip
+    return made
+
+
+def learner(
+    path: Path,
+    source: Replay | RemoteReplay,
+    spaces: Spaces = SPACES,
+    *,
+    updates: int = 100,
+    resume: bool = False,
+    **changed: str,
+) -> FromReplay:
+    """Learn for some updates, from twenty transitions."""
+    options = {"variant": "off-policy", "preset": "sac", "total_steps": updates}
+    return FromReplay(
+        configuration=assemble(options, SMALL | changed),
+        spaces=spaces,
+        source=source,
+        size=lambda: 20,
+        most=20,
+        path=path,
+        metrics=LearnerMetrics(),
+        resume=resume,
+    )
+
+
+def test_no_more_is_waited_for_than_can_come(tmp_path: Path) -> None:
+    """Twenty transitions of a hundred that a learner with actors would wait for."""
+    summary = learner(tmp_path, replay(1.0), warm_up_steps="100").run(lambda: False)
+    assert summary["updates"] == 100
+
+
+def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
+    """And nothing is left in the run's directory."""
+    reason = "found 20 transitions at most, expected a batch of 21; set batch_rows"
+    with pytest.raises(UsageError, match=reason):
+        learner(tmp_path, replay(1.0), batch_rows="21")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
+    """A temperature that grows by a factor of e^1000 is none after one update.
+
+    The run can be resumed from what it began with, as after a kill before its first round.
+    """
+    with pytest.raises(A2SError, match="update 100: found non-finite weights"):
+        learner(
+            tmp_path, replay(1.0), temperature_learning_rate="1000", entropy_per_action="1000"
+        ).run(lambda: False)
+    assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000000"]
+    assert learner(tmp_path, replay(1.0), resume=True).run(lambda: False)["updates"] == 100
+
+
+def test_the_end_is_kept(tmp_path: Path) -> None:
+    summary = learner(tmp_path, replay(1.0)).run(lambda: False)
+    assert (summary["updates"], summary["finished"]) == (100, True)
+    assert {p.name for p in (tmp_path / "checkpoints").iterdir()} == {"00000000", "00000100"}
+
+
+def test_what_was_not_begun_cannot_be_resumed(tmp_path: Path) -> None:
+    """And nothing is made in its place."""
+    with pytest.raises(RunDirectoryError, match="found no checkpoint"):
+        learner(tmp_path / "none", replay(1.0), resume=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_observations_may_be_as_wide_as_a_batch_of_them_can_be_sent(tmp_path: Path) -> None:
+    """Four thousand of the size of a thousand, for their mean, are more than a message takes."""
+    wide = dataclasses.replace(SPACES, obs_size=1000)
+    exchange, keys = Exchange(), Keys("wide")
+    ServedReplay(InProcessBus(exchange), keys, replay(1.0, wide), 1, share=1.0).open()
+    remote = RemoteReplay(InProcessBus(exchange), keys)
+    assert learner(tmp_path, remote, wide).run(lambda: False)["updates"] == 100
+
+
+def test_a_replay_that_is_gone_ends_the_run_and_what_was_learned_is_kept(tmp_path: Path) -> None:
+    exchange, keys = Exchange(), Keys("gone")
+    server = InProcessBus(exchange)
+    ServedReplay(server, keys, replay(1.0), 1, share=1.0).open()
+    remote = RemoteReplay(InProcessBus(exchange), keys)
+    run = learner(tmp_path, remote, updates=1000)
+    rounds = iter([lambda: None, lambda: None, server.close])
+
+    def stopped() -> bool:
+        next(rounds)()
+        return False
+
+    with pytest.raises(UnreachableError, match=r"no answer.* Go on with --resume"):
+        run.run(stopped)
+    kept = sorted(p.name for p in (tmp_path / "checkpoints").iterdir())
+    assert kept == ["00000000", "00000200"]
+
+
+def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_update(
+    tmp_path: Path,
+) -> None:
+    """Rewards of 3, of what follows a thousandth: 3.003, and 3 at the end."""
+    learner(tmp_path, replay(3.0), normalise_return="true", gamma="0.001").run(lambda: False)
+    tensors, _ = checkpoint.load(
+        tmp_path / "checkpoints", kind="off-policy on Hopper-v5 from a replay"
+    )
+    assert float(tensors["return_size.samples"]) == 5
+    assert float(tensors["return_size.mean_square"]) == pytest.approx(9.017, abs=0.02)
+
+
+def test_a_run_that_was_resumed_is_one_that_went_on(tmp_path: Path) -> None:
+    """To the bit, though a batch had been drawn ahead when it stopped."""
+    source, found = replay(1.0), []
+    for name, ends in (("on", (300,)), ("resumed", (100, 300))):
+        for updates in ends:
+            resume = updates > ends[0]
+            made = learner(
+                tmp_path / name, source, updates=updates, resume=resume, normalise_return="true"
+            )
+            made.run(lambda: False)
+        folder = tmp_path / name / "checkpoints"
+        found.append(checkpoint.load(folder, kind="off-policy on Hopper-v5 from a replay")[0])
+    on, resumed = found
+    assert all(torch.equal(on[name], resumed[name]) for name in on | resumed)
