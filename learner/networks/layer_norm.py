@@ -1,7 +1,8 @@
-"""Layer normalisation of several members' rows, with gain, offset and max(x, 0), and its gradient.
+"""Layer normalisation with gain and offset, and its gradient.
 
-On a processor compiled kernels make it in one pass (docs/adr/0007); elsewhere, and in float64,
-torch's do.
+In relu networks on a CPU compiled kernels make it in one pass, with the bias before and the cut at
+0 after it (docs/adr/0007); elsewhere, and in float64, torch's kernels do. torch's own gradient by
+gain and offset is not used: it takes one member at a time.
 """
 
 import dataclasses
@@ -9,6 +10,7 @@ import functools
 from typing import Any, NamedTuple
 
 import torch
+import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 from a2s.protocol.fields import Array
@@ -21,10 +23,8 @@ _aten = torch.ops.aten
 class Affine:
     """Parameters, or the gradients by them: float32 unless what is normalised is float64.
 
-    Args:
-        gain: ``[E, 1, W]``.
-        offset: ``[E, 1, W]``.
-        bias: Added before normalisation, ``[E, 1, W]``, or ``None``.
+    Each is ``[E, 1, W]``, of a single network ``[W]``. ``bias``, added before normalisation, may be
+    left out.
     """
 
     gain: Tensor
@@ -37,90 +37,107 @@ class Affine:
         gain = self.gain.numpy()
         return gain, self.offset.numpy(), gain if self.bias is None else self.bias.numpy()
 
+    def pick(self, members: Tensor) -> "Affine":
+        """Those of some members, gathered."""
+        bias = None if self.bias is None else self.bias.index_select(0, members)
+        gain, offset = (each.index_select(0, members) for each in (self.gain, self.offset))
+        return Affine(gain, offset, bias)
 
-class Normed(NamedTuple):
-    """What the gradient needs of one pass.
 
-    Attributes:
-        x: What was given, ``[E, N, W]``.
-        out: What came out, ``[E, N, W]``.
-        stats: Mean of each row, and one over its standard deviation, ``[2, E, N]``.
-        arrays: The same three as arrays, if the kernels made them.
-    """
+class _Compiled(NamedTuple):
+    """Input, output and ``[2, E, N]``, mean and one over the deviation: what the kernels keep."""
+
+    x: Array
+    out: Array
+    stats: Array
+
+
+class _Normed(NamedTuple):
+    """What torch's kernels keep; ``normal`` is without gain and offset."""
 
     x: Tensor
+    normal: Tensor
+    mean: Tensor
+    rstd: Tensor
     out: Tensor
-    stats: Tensor
-    arrays: tuple[Array, Array, Array] | None
 
 
-def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
+def layer_norm(
+    x: Tensor, affine: Affine, *, relu: bool, compiled: bool, tape: list[Any] | None
+) -> Tensor:
     """Normalise over the last dimension.
 
     Args:
-        x: ``[E, N, W]``, of any precision.
+        x: ``[E, N, W]``, of a single network ``[N, W]``, of any precision.
         affine: Parameters.
         relu: Whether to cut at 0.
+        compiled: Whether the kernels may do it, for members.
+        tape: Is given what `layer_norm_back` needs.
     """
     x = x.contiguous()
-    if _is_compiled(x):
-        out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
-        arrays = _raw(x), _raw(out), stats.numpy()
-        has_bias = affine.bias is not None
-        _kernels().forward(arrays[0], *affine.arrays, has_bias, relu, LAYER_NORM_EPS, *arrays[1:])
-        return Normed(x, out, stats, arrays)
-    made = [
-        torch.native_layer_norm(rows, rows.shape[-1:], gain[0], offset[0], LAYER_NORM_EPS)
-        for rows, gain, offset in zip(_biased(x, affine), affine.gain, affine.offset, strict=True)
-    ]
-    out, mean, rstd = (torch.stack(part) for part in zip(*made, strict=True))
+    gain, offset, bias = affine.gain, affine.offset, affine.bias
+    if compiled and x.dim() == 3 and x.is_cpu and x.dtype != torch.float64:
+        out = torch.empty_like(x)
+        kept = _Compiled(_raw(x), _raw(out), gain.new_empty(2, *x.shape[:2]).numpy())
+        has_bias = bias is not None
+        _kernels().forward(kept.x, *affine.arrays, has_bias, relu, LAYER_NORM_EPS, *kept[1:])
+        if tape is not None:
+            tape.append(kept)
+        return out
+    rows = x.to(gain.dtype) if bias is None else x.to(gain.dtype) + bias
+    width = rows.shape[-1:]
+    if tape is None and gain.dim() == 1 and not relu:
+        return F.layer_norm(rows, width, gain, offset, LAYER_NORM_EPS)
+    normal, mean, rstd = torch.native_layer_norm(rows, width, None, None, LAYER_NORM_EPS)
+    out = torch.addcmul(offset, normal, gain)
     out = (out.relu_() if relu else out).to(x.dtype)
-    return Normed(x, out, torch.stack([mean, rstd]).squeeze(-1), None)
+    if tape is not None:
+        tape.append(_Normed(rows, normal, mean, rstd, out))
+    return out
 
 
 def layer_norm_back(
-    normed: Normed, grad: Tensor, affine: Affine, *, relu: bool, into: Affine | None
+    kept: _Compiled | _Normed, grad: Tensor, affine: Affine, *, relu: bool, into: Affine | None
 ) -> Tensor:
-    """Turn the gradient by the output, ``[E, N, W]``, into that by the input.
+    """Turn the gradient by the output into that by the input, both as precise as the input.
 
     Args:
-        normed: From `layer_norm`.
-        grad: ``[E, N, W]``, as precise as the input.
+        kept: From the tape.
+        grad: ``[E, N, W]``.
         affine: As given to `layer_norm`.
         relu: As given to `layer_norm`.
         into: Where the gradients by the parameters are written; ``None``: they are not wanted.
     """
-    grad = grad.contiguous()
-    if normed.arrays is not None:
-        through = torch.empty_like(grad)
+    if isinstance(kept, _Compiled):
+        grad = grad.contiguous()
+        into_x = torch.empty_like(grad)
         gain, _, bias = affine.arrays
         _kernels().backward(
-            _raw(grad), *normed.arrays, gain, bias, affine.bias is not None, relu,
-            into is not None, _raw(through), *(into or affine).arrays,
+            _raw(grad), *kept, gain, bias, affine.bias is not None, relu,
+            into is not None, _raw(into_x), *(into or affine).arrays,
         )  # fmt: skip
-        return through
+        return into_x
     if relu:
-        grad = _aten.threshold_backward(grad, normed.out, 0)
-    mean, rstd = normed.stats.unsqueeze(-1)
-    parts = (grad.to(mean.dtype), _biased(normed.x, affine), mean, rstd, affine.gain)
-    made = [
-        _aten.native_layer_norm_backward(
-            by_out, rows, rows.shape[-1:], m, r, gain[0], gain[0], [True, True, True]
-        )
-        for by_out, rows, m, r, gain in zip(*parts, strict=True)
-    ]
-    through, by_gain, by_offset = (torch.stack(part) for part in zip(*made, strict=True))
+        grad = _aten.threshold_backward(grad, kept.out, 0)
+    kind, grad = grad.dtype, grad.to(affine.gain.dtype)
     if into is not None:
-        into.gain.copy_(by_gain.unsqueeze(1))
-        into.offset.copy_(by_offset.unsqueeze(1))
-        if into.bias is not None:
-            into.bias.copy_(through.sum(1, keepdim=True))
-    return through.to(grad.dtype)
+        sum_rows(grad * kept.normal, into.gain)
+        sum_rows(grad, into.offset)
+    through: Tensor = _aten.native_layer_norm_backward(
+        grad * affine.gain, kept.x, grad.shape[-1:], kept.mean, kept.rstd, None, None,
+        [True, False, False],
+    )[0]  # fmt: skip
+    if into is not None and into.bias is not None:
+        sum_rows(through, into.bias)
+    return through.to(kind)
 
 
-def _biased(x: Tensor, affine: Affine) -> Tensor:
-    x = x.to(affine.gain.dtype)
-    return x if affine.bias is None else x + affine.bias
+def sum_rows(x: Tensor, into: Tensor) -> None:
+    """Overwrite ``into``, ``[E, 1, W]`` or ``[W]``, with the sums over the rows."""
+    if x.dtype == into.dtype:
+        torch.sum(x, -2, keepdim=into.dim() > 1, out=into)
+    else:
+        into.copy_(x.sum(-2, keepdim=into.dim() > 1))
 
 
 @functools.cache
@@ -128,10 +145,6 @@ def _kernels() -> Any:
     from a2s.learner.networks import kernels  # half a second: only who needs it
 
     return kernels
-
-
-def _is_compiled(x: Tensor) -> bool:
-    return x.is_cpu and x.dtype != torch.float64
 
 
 def _raw(x: Tensor) -> Array:

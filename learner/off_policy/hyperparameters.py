@@ -8,11 +8,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from a2s.learner.networks.options import Network, Precision
 from a2s.learner.on_policy.hyperparameters import Selection
 from a2s.learner.ranges import check, check_most, refuse
 
-Network = Literal["mlp", "residual", "trunk"]
-Precision = Literal["f32", "bf16"]
 OffPolicyLoss = Literal["pathwise", "score"]
 Selector = Literal["one", "mean"]
 

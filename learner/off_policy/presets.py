@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper, Precision
+from a2s.learner.networks.options import Precision
+from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.on_policy.presets import Choice
 from a2s.learner.run.other_names import OFF_POLICY
 from a2s.learner.run.overrides import parse_all

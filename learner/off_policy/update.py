@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.ensemble import score_many
-from a2s.learner.networks.layers import Weights
+from a2s.learner.networks.gaussian import log_density
+from a2s.learner.networks.stored import check_tensors
 from a2s.learner.off_policy.acting import (
     OffPolicySuggester,
     OffPolicySuggesterMode,
@@ -27,12 +28,10 @@ from a2s.learner.off_policy.squashed import (
     draw,
     draw_several,
     gaussian,
-    log_density,
 )
 from a2s.learner.off_policy.state import OffPolicyLearned
 from a2s.learner.off_policy.targets import backup, evaluate, pick_best
 from a2s.learner.off_policy.transitions import Transitions
-from a2s.learner.on_policy.state import check_tensors
 
 
 class OffPolicyStats(NamedTuple):
@@ -165,7 +164,7 @@ class OffPolicy:
         fit, q_mean = self._learn_critics(obs, batch, target)
         moved = self._policy_step(obs, policy, drawn, noise, temperature)
         learned.policy.differentiate(tape, moved.grad.unsqueeze(0))
-        learned.adam["policy"].step(learned.policy.grad)
+        learned.adam["policy"].step(learned.policy.grad, self.hyper.learning_rate)
         learned.policy.refresh()
         learned.follow()
         learned.targets.value.lerp_(learned.critics.value, self.hyper.tau)
@@ -206,7 +205,7 @@ class OffPolicy:
         """
         if self.learned.learns_temperature:
             grad = -(log_prob.mean() + self._wanted_entropy)
-            self.learned.adam["temperature"].step(grad)
+            self.learned.adam["temperature"].step(grad, self.hyper.temperature_learning_rate)
 
     def _target(self, batch: Transitions, obs: Tensor, noise: Noise, temperature: Tensor) -> Tensor:
         """Targets of equation 8, ``[B, M']``."""
@@ -227,7 +226,7 @@ class OffPolicy:
             batch.reward,
             batch.discount,
             evaluate(value, hyper.dropped_quantiles),
-            log_density(u, normal, policy.log_std),
+            log_density(normal, policy.log_std, u),
             temperature=temperature,
             suggestions=hyper.target_suggestions,
         )
@@ -243,7 +242,7 @@ class OffPolicy:
         else:
             fit = quantile_loss(q_value, target, batch.weight, self.hyper.huber_width)
         critics.differentiate(tape, fit.grad)
-        self.learned.adam["critics"].step(critics.grad)
+        self.learned.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
         return fit, q_value.mean()
 
@@ -284,8 +283,7 @@ class OffPolicy:
         """
         form, critics = self.learned.critics.form, self.learned.critics
         if self.hyper.selector == "one":
-            return score_many(form, critics.pick(critic), obs, action).mean(-1)
-        weights: Weights = critics.weights
+            return score_many(form, critics.weights.pick(critic), obs, action)
         shared = action.transpose(0, 1).flatten(1, 2).expand(critics.members, -1, -1, -1)
-        value = score_many(form, weights, obs, shared).mean((0, -1))
+        value = critics.score(obs, shared).mean(0)
         return value.view(len(obs), len(action), -1).transpose(0, 1)
