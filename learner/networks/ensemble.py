@@ -1,4 +1,4 @@
-"""Networks of equal form, evaluated and differentiated together; one alone is a special case.
+"""Networks of equal form, evaluated and differentiated together, or a single one.
 
 The gradient is written out. Autograd would do the same, but the bookkeeping of its graph costs more
 than the arithmetic of networks as small as these, and an update makes hundreds of small steps.

@@ -70,12 +70,7 @@ class Form:
         self.length += 2 * sum(self._norm_widths)
 
     def weights(self, flat: Tensor, *, single: bool = False) -> Weights:
-        """The parameters in a vector ``[E length]``, as views.
-
-        Args:
-            flat: Such a vector.
-            single: E is 1, and no view has that dimension.
-        """
+        """Views of a vector ``[E length]``; if single, E is 1 and no view has that dimension."""
         members = len(flat) // self.length
         matrix = () if single else (members,)
         vector = () if single else (members, 1)

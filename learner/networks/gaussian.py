@@ -35,14 +35,8 @@ def log_density(normal: Tensor, log_std: Tensor, squashed: Tensor | None = None)
 class Policy:
     """A Gaussian: the mean is a network's, the standard deviation the same everywhere.
 
-    Args:
-        sizes: Units of input, hidden layers and output.
-        layer_norm: Of the network.
-        init: Of the network.
-        std: Standard deviation at first.
-        std_floor: What it does not fall below when learned; 0: no floor.
-        learns_std: Whether it is a parameter.
-        generator: Draws the first weights.
+    ``sizes``, ``layer_norm`` and ``init`` are those of the network, see `Form`. A learned deviation
+    starts from ``std`` and does not fall below ``std_floor``, unless that is 0.
 
     Attributes:
         value: All parameters, float32 ``[P]``; writing to it writes to the policy.

@@ -21,11 +21,7 @@ _aten = torch.ops.aten
 
 @dataclasses.dataclass(frozen=True)
 class Affine:
-    """Parameters, or the gradients by them: float32 unless what is normalised is float64.
-
-    Each is ``[E, 1, W]``, of a single network ``[W]``. ``bias``, added before normalisation, may be
-    left out.
-    """
+    """Parameters or their gradients, ``[E, 1, W]`` or ``[W]``; ``bias`` is added before."""
 
     gain: Tensor
     offset: Tensor
@@ -53,7 +49,7 @@ class _Compiled(NamedTuple):
 
 
 class _Normed(NamedTuple):
-    """What torch's kernels keep; ``normal`` is without gain and offset."""
+    """What torch's kernels keep; ``normal`` lacks gain and offset."""
 
     x: Tensor
     normal: Tensor
@@ -68,10 +64,10 @@ def layer_norm(
     """Normalise over the last dimension.
 
     Args:
-        x: ``[E, N, W]``, of a single network ``[N, W]``, of any precision.
-        affine: Parameters.
+        x: ``[E, N, W]``, or ``[N, W]``, of any precision.
+        affine: Parameters, float32 unless x is float64.
         relu: Whether to cut at 0.
-        compiled: Whether the kernels may do it, for members.
+        compiled: Whether the kernels may do it; they take ``[E, N, W]`` on a CPU.
         tape: Is given what `layer_norm_back` needs.
     """
     x = x.contiguous()
@@ -101,12 +97,7 @@ def layer_norm_back(
 ) -> Tensor:
     """Turn the gradient by the output into that by the input, both as precise as the input.
 
-    Args:
-        kept: From the tape.
-        grad: ``[E, N, W]``.
-        affine: As given to `layer_norm`.
-        relu: As given to `layer_norm`.
-        into: Where the gradients by the parameters are written; ``None``: they are not wanted.
+    The gradients by the parameters are written ``into``; ``None``: they are not wanted.
     """
     if isinstance(kept, _Compiled):
         grad = grad.contiguous()

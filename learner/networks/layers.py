@@ -18,11 +18,12 @@ _aten = torch.ops.aten
 
 
 class Weights(NamedTuple):
-    """The parameters of a network, or their gradients. A single network has no dimension E.
+    """The parameters of a network, or their gradients.
 
     Attributes:
-        weight: Of each Linear ``[E, in, out]``, in the precision of matrix products.
-        bias: Of each Linear ``[E, 1, out]``, of a single network ``[out]``, in the same precision.
+        weight: Of each Linear, ``[E, in, out]``, in the precision of matrix products; of a single
+            network ``[in, out]``.
+        bias: ``[E, 1, out]``, or ``[out]``.
         norms: Of each Norm, float32.
     """
 
@@ -31,7 +32,7 @@ class Weights(NamedTuple):
     norms: list[Affine]
 
     def pick(self, members: Tensor) -> "Weights":
-        """The weights of some members by their numbers, int64 ``[N]``: gathered, not views."""
+        """Those of some members by their numbers, int64 ``[N]``: gathered, not views."""
         return Weights(
             [each.index_select(0, members) for each in self.weight],
             [each.index_select(0, members) for each in self.bias],
@@ -57,12 +58,7 @@ class Layer(Protocol):
 
 
 class Linear:
-    """``x W + b``.
-
-    Args:
-        index: Number of W and b.
-        adds_bias: ``False``: the normalisation above adds it, in the pass that it makes anyway.
-    """
+    """``x W + b``; unless it ``adds_bias``, the normalisation above does, in its own pass."""
 
     def __init__(self, index: int, *, adds_bias: bool) -> None:
         self.index = index
@@ -134,14 +130,7 @@ class Activation:
 
 
 class Norm:
-    """Layer normalisation with gain and offset, see `layer_norm`.
-
-    Args:
-        index: Number of gain and offset.
-        bias: Number of the bias that the Linear below leaves to this layer, if it does.
-        relu: Whether to cut at 0.
-        compiled: Whether there is a kernel for it, on a CPU.
-    """
+    """Layer normalisation, see `layer_norm`; ``bias`` numbers that of the Linear below, if left."""
 
     def __init__(self, index: int, *, bias: int | None, relu: bool, compiled: bool) -> None:
         self.index = index
@@ -184,7 +173,7 @@ class Residual:
 def run(
     layers: Sequence[Layer], weights: Weights, x: Tensor, tape: list[Any] | None = None
 ) -> Tensor:
-    """Go through layers."""
+    """Go forward through layers."""
     for layer in layers:
         x = layer.forward(weights, x, tape)
     return x

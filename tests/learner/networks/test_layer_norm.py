@@ -24,7 +24,7 @@ def drawn(members: int, width: int, kind: torch.dtype, generator: torch.Generato
 
 def autograd(x: Tensor, affine: Affine, grad: Tensor) -> tuple[Tensor, ...]:
     """What comes out without a cut, and the gradients by x, gain, offset and bias."""
-    inputs = [each.double().requires_grad_() for each in (x, *tensors(affine))]
+    inputs = [each.detach().double().requires_grad_() for each in (x, *tensors(affine))]
     wide, gain, offset, bias = inputs
     out = F.layer_norm(wide + bias, x.shape[-1:], eps=LAYER_NORM_EPS) * gain + offset
     return out.detach(), *torch.autograd.grad(out, inputs, grad.double())
@@ -66,7 +66,7 @@ def test_values_and_gradients_are_those_of_autograd(
     kind: torch.dtype,
     seed: int,
 ) -> None:
-    """Compiled and not; widths that fill no vector register among them."""
+    """Compiled or not; widths that fill no vector register among them."""
     generator = torch.Generator().manual_seed(seed)
     x, grad = (torch.randn(shape, generator=generator).to(kind) for _ in range(2))
     affine = drawn(shape[0], shape[2], kind, generator)
