@@ -23,7 +23,7 @@ from a2s.learner.networks.ensemble import Ensemble, Form
 from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
 from a2s.learner.networks.layers import Layer, Linear, Norm, Relu, Residual
 from a2s.learner.off_policy.acting import OffPolicySuggester
-from a2s.learner.off_policy.hyperparameters import Network
+from a2s.learner.off_policy.config import Network
 from a2s.learner.off_policy.squashed import LOG_NORM, LOG_STD_LEAST, LOG_STD_MOST
 
 

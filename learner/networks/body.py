@@ -14,7 +14,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
 from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
-from a2s.learner.on_policy.hyperparameters import Init, OnPolicyHyper
+from a2s.learner.on_policy.config import Init, OnPolicyConfig
 
 _aten = torch.ops.aten
 
@@ -47,7 +47,7 @@ class Body(nn.Module):
         self,
         sizes: Sequence[int],
         *,
-        hyper: OnPolicyHyper,
+        hyper: OnPolicyConfig,
         output_gain: float,
         generator: torch.Generator,
     ) -> None:

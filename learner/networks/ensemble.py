@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.layers import Layer, Linear, Norm, Relu, Residual, Weights, run, run_back
-from a2s.learner.off_policy.hyperparameters import Network, Precision
+from a2s.learner.off_policy.config import Network, Precision
 
 # Parameters start at multiples of this, so that kernels find them aligned.
 _ALIGNMENT = 16

@@ -6,7 +6,7 @@ from torch import Tensor
 from a2s.learner.networks.ensemble import Ensemble, Form
 from a2s.learner.networks.fused_adam import FusedAdam
 from a2s.learner.networks.networks import Normaliser
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.return_size import ReturnSize
 from a2s.learner.on_policy.state import check_tensors
 
@@ -36,7 +36,7 @@ class OffPolicyLearned:
         self,
         obs_size: int,
         action_size: int,
-        hyper: OffPolicyHyper,
+        hyper: OffPolicyConfig,
         generator: torch.Generator,
         device: torch.device,
     ) -> None:
@@ -46,13 +46,13 @@ class OffPolicyLearned:
             return Ensemble(form, first, precision=hyper.precision)
 
         self.normaliser = Normaliser(
-            obs_size, enabled=hyper.normalise_obs, quiets_rare=hyper.quiet_rare_obs
+            obs_size, enabled=hyper.norm_obs, quiets_rare=hyper.quiet_rare_obs
         ).to(device)
-        self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
+        self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
-        sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
-        self.critics = make(sizes, hyper.critics, late=action_size)
+        sizes = (joined, *hyper.critic_sizes, hyper.num_quantiles)
+        self.critics = make(sizes, hyper.num_critics, late=action_size)
         self.targets = self.critics.copy()
         self._average_updates = hyper.average_updates
         self.average = self.policy

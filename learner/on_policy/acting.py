@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from a2s.learner.networks.networks import Normaliser, Policy, Q
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.suggestion import (
     as_q_sees,
     log_preference,

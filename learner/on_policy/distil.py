@@ -11,7 +11,7 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.networks import Policy, Q
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.step_size import gaussian_kl
 from a2s.learner.on_policy.suggestion import as_q_sees, suggest
 

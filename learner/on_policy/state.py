@@ -8,7 +8,7 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.networks import Normaliser, Policy, Q, Value
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.returns import ReturnScale
 from a2s.protocol.errors import RunDirectoryError
 
@@ -41,11 +41,11 @@ class Learned:
     """
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
     ) -> None:
-        self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs)
         self.returns = ReturnScale(
-            enabled=hyper.normalise_return, window_steps=hyper.return_window_steps
+            enabled=hyper.norm_return, window_steps=hyper.return_window_steps
         )
         self.policy = Policy(obs_size, action_size, hyper, generator)
         self.value_net = Value(obs_size, hyper, generator)

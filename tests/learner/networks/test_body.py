@@ -5,12 +5,12 @@ import torch
 
 from a2s.learner.networks.adam import FlatParameters
 from a2s.learner.networks.body import Body
-from a2s.learner.on_policy import presets
+from a2s.learner.run.config import on_policy
 
 
 @pytest.mark.parametrize("layer_norm", [True, False])
 def test_outputs_and_gradients_are_those_of_autograd(layer_norm: bool) -> None:
-    hyper = presets.on_policy("modern", "a2s", {"layer_norm": layer_norm})
+    hyper = on_policy("modern", "a2s", {"layer_norm": layer_norm})
     generator = torch.Generator().manual_seed(1)
     body = Body((5, 16, 8, 3), hyper=hyper, output_gain=1.0, generator=generator)
     parameters = FlatParameters(body)

@@ -7,7 +7,7 @@ import torch
 from plain_sac import modules
 
 from a2s.learner.networks.ensemble import Ensemble, Form, score_many
-from a2s.learner.off_policy.hyperparameters import Network
+from a2s.learner.off_policy.config import Network
 
 FORMS = [
     ((5, 16, 8, 3), "mlp"),

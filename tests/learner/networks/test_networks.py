@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from a2s.learner.networks.networks import Normaliser, Policy, Q, Value
-from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.run.config import on_policy
 
 
 def make_q(**options: object) -> Q:

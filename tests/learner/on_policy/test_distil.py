@@ -12,7 +12,7 @@ from a2s.learner.on_policy.distil import (
     distil_target,
     score_in_parts,
 )
-from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.run.config import on_policy
 
 
 class Nearest(Q):

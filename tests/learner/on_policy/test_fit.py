@@ -6,14 +6,14 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.body import Body
-from a2s.learner.on_policy import presets
 from a2s.learner.on_policy.fit import Regression, fit_epochs, fit_threshold, num_chunks
+from a2s.learner.run.config import on_policy
 
 
 def linear(inputs: Tensor, seed: int = 0) -> Regression:
     """Build linear networks of three inputs."""
     generator = torch.Generator().manual_seed(seed)
-    hyper = presets.on_policy("modern", "a2s", {})
+    hyper = on_policy("modern", "a2s", {})
     body = Body((3, 1), hyper=hyper, output_gain=1.0, generator=generator)
     return Regression(body=body, inputs=inputs, optimiser=Adam(FlatParameters(body)))
 
@@ -40,7 +40,7 @@ def epochs(
         target,
         epochs=count,
         minibatch=32,
-        least_minibatches=1,
+        min_minibatches=1,
         learning_rate=rate,
         max_grad_norm=0.0,
         generator=torch.Generator().manual_seed(5),

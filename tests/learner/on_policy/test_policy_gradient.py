@@ -16,8 +16,8 @@ from a2s.learner.on_policy.policy_gradient import (
     normalised,
     policy_loss,
 )
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.suggestion import log_preference, select_soft, take
+from a2s.learner.run.config import on_policy
 
 
 def test_density_and_entropy_agree_with_the_textbook() -> None:
