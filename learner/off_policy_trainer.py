@@ -14,7 +14,7 @@ from a2s.learner.export.off_policy import export
 from a2s.learner.ingest.batching import draw, draw_returns, wants_returns
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.off_policy_row import SHOWN, RoundMeans
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
 from a2s.learner.replay import description, directory
@@ -64,7 +64,7 @@ class OffPolicyLearning:
         self,
         env_id: str,
         spaces: Spaces,
-        hyper: OffPolicyHyper,
+        hyper: OffPolicyConfig,
         seed: int,
         path: Path,
         ledger: Ledger,
@@ -80,7 +80,7 @@ class OffPolicyLearning:
             self._algorithm.load(saved[0])
         self._learn_from = update_of(self._algorithm)
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
-        samples_per_step = hyper.updates_per_step * hyper.batch_rows
+        samples_per_step = hyper.utd_ratio * hyper.batch_rows
         self._limiter = Limiter(
             samples_per_step,
             hyper.warm_up_steps,
@@ -202,7 +202,7 @@ class OffPolicyLearning:
     @property
     def _round(self) -> int:
         """Updates of a round at most."""
-        return 2 * math.ceil(self._quota_steps * self._hyper.updates_per_step)
+        return 2 * math.ceil(self._quota_steps * self._hyper.utd_ratio)
 
     def _go_on(self, scalars: dict[str, Any]) -> None:
         self._updates, self._learned_from = scalars["updates"], scalars["learned_from"]
@@ -246,7 +246,7 @@ def _open(
     path: Path,
     env_id: str,
     spaces: Spaces,
-    hyper: OffPolicyHyper,
+    hyper: OffPolicyConfig,
     ledger: Ledger,
     least_rows: int,
 ) -> Replay:

@@ -8,7 +8,7 @@ import torch
 
 from a2s.learner.export.on_policy import export
 from a2s.learner.ingest.batching import to_batch
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
 from a2s.learner.run.metrics import LearnerMetrics
@@ -46,7 +46,7 @@ class OnPolicyLearning:
     def __init__(
         self,
         spaces: Spaces,
-        hyper: OnPolicyHyper,
+        hyper: OnPolicyConfig,
         seed: int,
         metrics: LearnerMetrics,
         saved: Saved | None,

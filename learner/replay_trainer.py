@@ -17,7 +17,7 @@ from a2s.learner.export.off_policy import export
 from a2s.learner.ingest.batching import Source, draw, draw_returns, wants_returns
 from a2s.learner.ingest.ledger import Accounts
 from a2s.learner.ingest.off_policy_row import SHOWN, RoundMeans
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
@@ -76,7 +76,7 @@ class FromReplay:
         resume: bool,
     ) -> None:
         hyper = configuration.hyper
-        assert isinstance(hyper, OffPolicyHyper)
+        assert isinstance(hyper, OffPolicyConfig)
         self._run, self._hyper = configuration.run, hyper
         self._metadata = policy_metadata(self._run, spaces)
         if most < hyper.batch_rows:
@@ -177,7 +177,7 @@ class FromReplay:
     def _stand_at(self, updates: int) -> None:
         """Count updates, and the environment steps that they are worth."""
         self._at.updates = updates
-        self._at.env_steps = int(updates / self._hyper.updates_per_step)
+        self._at.env_steps = int(updates / self._hyper.utd_ratio)
 
     def _write(self, means: Mapping[str, float]) -> None:
         size = self._size()

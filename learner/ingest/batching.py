@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.replay import transitions as stored
@@ -55,12 +55,12 @@ class Source(Protocol):
         ...
 
 
-def wants_returns(hyper: OffPolicyHyper, updates: int) -> bool:
+def wants_returns(hyper: OffPolicyConfig, updates: int) -> bool:
     """Whether returns are to be drawn before the next update, after so many."""
-    return hyper.normalise_return and updates % _RETURNS_EVERY_UPDATES == 0
+    return hyper.norm_return and updates % _RETURNS_EVERY_UPDATES == 0
 
 
-def draw_returns(source: Source, hyper: OffPolicyHyper, rng: np.random.Generator) -> torch.Tensor:
+def draw_returns(source: Source, hyper: OffPolicyConfig, rng: np.random.Generator) -> torch.Tensor:
     """Draw discounted returns, over as many steps as any source adds up: float32 ``[B]``.
 
     Raises:
@@ -71,7 +71,7 @@ def draw_returns(source: Source, hyper: OffPolicyHyper, rng: np.random.Generator
 
 
 def draw(
-    source: Source, hyper: OffPolicyHyper, rng: np.random.Generator
+    source: Source, hyper: OffPolicyConfig, rng: np.random.Generator
 ) -> tuple[Transitions, stored.Rows]:
     """Draw the batch of an update, and the rows that it came from.
 

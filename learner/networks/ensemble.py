@@ -12,7 +12,6 @@ from torch import Tensor
 
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.layers import Weights, product, run, run_back
-from a2s.learner.networks.options import Precision
 
 
 class Tape(NamedTuple):
@@ -29,7 +28,7 @@ class Ensemble:
         form: Of each.
         flat: First parameters, float32 ``[E length]``; kept, not copied.
         grad: Where the gradients are written, of the same shape.
-        precision: Of matrix products.
+        bf16: Make matrix products in bfloat16.
         single: E is 1, and no tensor has that dimension: products of matrices are faster so.
 
     Attributes:
@@ -45,7 +44,7 @@ class Ensemble:
         flat: Tensor,
         grad: Tensor | None = None,
         *,
-        precision: Precision = "f32",
+        bf16: bool = False,
         single: bool = False,
     ) -> None:
         self.form = form
@@ -53,17 +52,17 @@ class Ensemble:
         self.single = single
         self.value = flat
         self.grad = torch.zeros_like(flat) if grad is None else grad
-        self._product = flat if precision == "f32" else flat.to(torch.bfloat16)
+        self._product = flat.to(torch.bfloat16) if bf16 else flat
         self.exact = form.weights(flat, single=single)
         self._grads = form.weights(self.grad, single=single)
         self.weights = self.exact
-        if precision == "bf16":
+        if bf16:
             self.weights = form.weights(self._product)._replace(norms=self.exact.norms)
 
     def copy(self) -> "Ensemble":
         """The same networks with parameters of their own."""
-        precision: Precision = "f32" if self._product is self.value else "bf16"
-        return Ensemble(self.form, self.value.clone(), precision=precision, single=self.single)
+        bf16 = self._product is not self.value
+        return Ensemble(self.form, self.value.clone(), bf16=bf16, single=self.single)
 
     def refresh(self) -> None:
         """Take changed parameters into account."""

@@ -5,4 +5,3 @@ from typing import Literal
 Activation = Literal["relu", "tanh"]
 Init = Literal["fan-in", "uniform", "orthogonal"]
 Network = Literal["mlp", "residual", "trunk"]
-Precision = Literal["f32", "bf16"]

@@ -8,7 +8,7 @@ from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.networks.stored import check_tensors
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.return_size import ReturnSize
 
 
@@ -37,7 +37,7 @@ class OffPolicyLearned:
         self,
         obs_size: int,
         action_size: int,
-        hyper: OffPolicyHyper,
+        hyper: OffPolicyConfig,
         generator: torch.Generator,
         device: torch.device,
     ) -> None:
@@ -50,16 +50,16 @@ class OffPolicyLearned:
                 late=late,
             )
             first = form.draw(members, generator).to(device)
-            return Ensemble(form, first, precision=hyper.precision)
+            return Ensemble(form, first, bf16=hyper.precision == "bf16")
 
         self.normaliser = Normaliser(
-            obs_size, enabled=hyper.normalise_obs, quiets_rare=hyper.quiet_rare_obs
+            obs_size, enabled=hyper.norm_obs, quiets_rare=hyper.quiet_rare_obs
         ).to(device)
-        self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
+        self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
-        sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
-        self.critics = make(sizes, hyper.critics, late=action_size)
+        sizes = (joined, *hyper.critic_sizes, hyper.num_quantiles)
+        self.critics = make(sizes, hyper.num_critics, late=action_size)
         self.targets = self.critics.copy()
         self._average_updates = hyper.average_updates
         self.average = self.policy

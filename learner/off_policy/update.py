@@ -18,7 +18,7 @@ from a2s.learner.off_policy.acting import (
     OffPolicySuggester,
     OffPolicySuggesterMode,
 )
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.losses import CriticLoss, quantile_loss, squared_loss
 from a2s.learner.off_policy.noise import Noise, draw_noise
 from a2s.learner.off_policy.policy import PolicyStep, pathwise, score
@@ -82,7 +82,7 @@ class OffPolicy:
         self,
         obs_size: int,
         action_size: int,
-        hyper: OffPolicyHyper,
+        hyper: OffPolicyConfig,
         seed: int,
         device: str = "cpu",
     ) -> None:
@@ -225,7 +225,7 @@ class OffPolicy:
         return backup(
             batch.reward,
             batch.discount,
-            evaluate(value, hyper.dropped_quantiles),
+            evaluate(value, hyper.quantiles_to_drop),
             log_density(normal, policy.log_std, u),
             temperature=temperature,
             suggestions=hyper.target_suggestions,
@@ -237,10 +237,10 @@ class OffPolicy:
         """Regress every critic to the targets; also returns the mean value."""
         critics = self.learned.critics
         q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
-        if self.hyper.quantiles == 1:
+        if self.hyper.num_quantiles == 1:
             fit = squared_loss(q_value, target, batch.weight)
         else:
-            fit = quantile_loss(q_value, target, batch.weight, self.hyper.huber_width)
+            fit = quantile_loss(q_value, target, batch.weight, self.hyper.kappa)
         critics.differentiate(tape, fit.grad)
         self.learned.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
@@ -264,8 +264,8 @@ class OffPolicy:
         """
         critics = self.learned.critics
         q_value, tape = critics.trace(torch.cat([obs, action], dim=-1))
-        if self.hyper.quantiles > 1:
-            grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.quantiles))
+        if self.hyper.num_quantiles > 1:
+            grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.num_quantiles))
             value = q_value.mean((0, 2))
         else:
             least, member = q_value.min(0, keepdim=True)

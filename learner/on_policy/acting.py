@@ -9,7 +9,7 @@ from a2s.learner.networks.acting import ActionBounds, Choice
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy, log_density
 from a2s.learner.networks.normaliser import Normaliser
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.suggestion import (
     as_q_sees,
     log_preference,

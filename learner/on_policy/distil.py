@@ -12,7 +12,7 @@ from torch import Tensor
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.step_size import gaussian_kl
 from a2s.learner.on_policy.suggestion import as_q_sees, suggest
 

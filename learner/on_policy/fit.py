@@ -54,7 +54,7 @@ def fit_epochs(
     *,
     epochs: int,
     minibatch: int,
-    least_minibatches: int,
+    min_minibatches: int,
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
@@ -66,7 +66,7 @@ def fit_epochs(
         target: What all of them regress to, ``[N]``.
         epochs: Passes.
         minibatch: Rows of one step, about.
-        least_minibatches: In one pass.
+        min_minibatches: In one pass.
         learning_rate: Of all of them.
         max_grad_norm: Of each of them; 0: not limited.
         generator: Draws the order.
@@ -74,7 +74,7 @@ def fit_epochs(
     Returns:
         Mean loss of each network in the last pass.
     """
-    count = num_chunks(len(target), minibatch, least_minibatches)
+    count = num_chunks(len(target), minibatch, min_minibatches)
     totals = torch.zeros(len(jobs))
     for _ in range(epochs):
         order = torch.randperm(len(target), generator=generator)

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.distil import distil_policy, distil_target
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
 from a2s.learner.on_policy.policy_gradient import (
     Improvement,
     PolicyData,
@@ -49,7 +49,7 @@ def update_policy(
     evidence: Evidence,
     collected: PolicyNow,
     learned: Learned,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     *,
     distil: bool,
     learning_rate: float,
@@ -94,7 +94,7 @@ def update_policy(
         obs=seen,
         action=batch.suggestion,
         log_prob=log_prob,
-        advantage=normalised(advantage, weight) if hyper.normalise_advantage else advantage,
+        advantage=normalised(advantage, weight) if hyper.norm_advantage else advantage,
         weight=weight,
         mean=collected.mean,
         log_std=collected.log_std,
@@ -113,7 +113,7 @@ def update_policy(
 
 @torch.no_grad()
 def _goal(
-    seen: Tensor, learned: Learned, hyper: OnPolicyHyper, generator: torch.Generator
+    seen: Tensor, learned: Learned, hyper: OnPolicyConfig, generator: torch.Generator
 ) -> Tensor:
     return distil_target(
         learned.q_net,
@@ -129,7 +129,7 @@ def _goal(
 
 @torch.no_grad()
 def _advantage(
-    batch: Batch, seen: Tensor, evidence: Evidence, learned: Learned, hyper: OnPolicyHyper
+    batch: Batch, seen: Tensor, evidence: Evidence, learned: Learned, hyper: OnPolicyConfig
 ) -> Tensor:
     """What each executed suggestion is worth beyond the value of its state, in returns, ``[N]``."""
     if hyper.advantage != "q-v":

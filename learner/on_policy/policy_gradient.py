@@ -8,8 +8,8 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy, log_density
+from a2s.learner.on_policy.config import OnPolicyConfig, PolicyLoss
 from a2s.learner.on_policy.fit import num_chunks
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper, PolicyLoss
 from a2s.learner.on_policy.returns import RESOLUTION
 from a2s.learner.on_policy.step_size import gaussian_kl
 
@@ -127,7 +127,7 @@ def improve(
     policy: Policy,
     optimiser: Adam,
     data: PolicyData,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     *,
     learning_rate: float,
     generator: torch.Generator,
@@ -142,7 +142,7 @@ def improve(
         learning_rate: Of Adam.
         generator: Draws the order, unless the whole batch is one step.
     """
-    count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.least_minibatches)
+    count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.min_minibatches)
     total, kl, passes = torch.zeros(()), 0.0, 0
     while passes < hyper.policy_epochs and kl <= hyper.kl_stop:
         passes += 1
@@ -160,7 +160,7 @@ def improve(
 
 @torch.no_grad()
 def differentiate(
-    mean: Tensor, log_std: Tensor, part: PolicyData, hyper: OnPolicyHyper
+    mean: Tensor, log_std: Tensor, part: PolicyData, hyper: OnPolicyConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What a policy loses on some data, and how that changes with the policy.
 

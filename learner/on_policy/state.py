@@ -11,7 +11,7 @@ from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import Policy
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.networks.stored import check_tensors
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.returns import ReturnScale
 
 
@@ -43,11 +43,11 @@ class Learned:
     """
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
     ) -> None:
-        self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs)
         self.returns = ReturnScale(
-            enabled=hyper.normalise_return, window_steps=hyper.return_window_steps
+            enabled=hyper.norm_return, window_steps=hyper.return_window_steps
         )
         self.policy = make_policy(obs_size, action_size, hyper, generator)
         self.value_net = make_critic(obs_size, hyper.value_sizes, hyper, generator)
@@ -101,7 +101,7 @@ class Learned:
 
 
 def make_policy(
-    obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+    obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
 ) -> Policy:
     """An untrained policy."""
     return Policy(
@@ -116,7 +116,7 @@ def make_policy(
 
 
 def make_critic(
-    inputs: int, hidden: tuple[int, ...], hyper: OnPolicyHyper, generator: torch.Generator
+    inputs: int, hidden: tuple[int, ...], hyper: OnPolicyConfig, generator: torch.Generator
 ) -> Ensemble:
     """An untrained Q or V, ``[N, in]`` to ``[N, 1]``, in normalised returns."""
     form = Form((inputs, *hidden, 1), activation="tanh", layer_norm=hyper.layer_norm)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.on_policy.batch import Batch
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.returns import (
     bootstrap,
     correlation,
@@ -39,13 +39,13 @@ class Evidence:
     value_explained_variance: float
 
 
-def q_input(batch: Batch, seen: Tensor, hyper: OnPolicyHyper) -> Tensor:
+def q_input(batch: Batch, seen: Tensor, hyper: OnPolicyConfig) -> Tensor:
     """Normalised observations ``[N, D]`` joined with the executed actions: ``[N, D + A]``."""
     return torch.cat([seen, as_q_sees(batch.suggestion, hyper.action_mode)], 1)
 
 
 @torch.no_grad()
-def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyHyper) -> Evidence:
+def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyConfig) -> Evidence:
     """Estimate advantages and targets with V as it is before its update."""
     seen = learned.normaliser(torch.cat([batch.obs, batch.final_obs]))
     values = learned.returns.restore(learned.value_net(seen).squeeze(1))

@@ -13,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from a2s.learner.run.numerals import written
+from a2s.learner.numerals import written
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _CURVE_POINTS = 60

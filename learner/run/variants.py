@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import OffPolicyLearning
 from a2s.learner.on_policy_trainer import OnPolicyLearning
 from a2s.learner.run.config import Configuration
@@ -27,7 +27,7 @@ def make_learning(
         UsageError: Its hyperparameters contradict each other.
     """
     run, hyper = configuration.run, configuration.hyper
-    if isinstance(hyper, OffPolicyHyper):
+    if isinstance(hyper, OffPolicyConfig):
         return OffPolicyLearning(
             run.env, spaces, hyper, run.seed, path, ledger, metrics, run.device, saved
         )

@@ -14,7 +14,7 @@ from a2s.commands import env_options, options, replay_cli
 from a2s.commands.serving import fill_standard_streams
 from a2s.commands.stopping import end_on_signals
 from a2s.commands.whole_number import whole_number
-from a2s.learner.run.numerals import written
+from a2s.learner.numerals import written
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 

@@ -141,7 +141,7 @@ def watched(
     a2s = [sys.executable, "-m", "a2s.cli"]
     endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     run = ["--run", "watched", "--metrics-port", "0"]
-    small = ["--set", "batch_steps=256", "--set", "batch_steps_first=256", "--envs", "2"]
+    small = ["--set", "batch_steps=256", "--set", "first_batch_steps=256", "--envs", "2"]
     size = ["--env", "InvertedPendulum-v5", "--total-steps", "100000000", "--n", "2", *small]
     place = ["--listen", endpoint, "--run-dir", str(folder / "run")]
     with ExitStack() as stack:

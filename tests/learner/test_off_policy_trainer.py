@@ -12,8 +12,8 @@ import pytest
 
 from a2s.actors.suggester import Suggester
 from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.run.config import off_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Saved
 from a2s.protocol.errors import RunDirectoryError, UsageError
@@ -125,7 +125,7 @@ def test_the_size_of_returns_is_that_of_the_replay(learning: Learn) -> None:
 
 def test_a_size_that_is_not_wanted_draws_nothing(learning: Learn) -> None:
     """Eight numbers an update, for its rows, and no more."""
-    run = learning(normalise_return=False)
+    run = learning(norm_return=False)
     updates = play(run, 0, 8)
     expected = np.random.default_rng(np.random.SeedSequence([7, 1]))
     expected.random((updates, 8))
@@ -133,7 +133,7 @@ def test_a_size_that_is_not_wanted_draws_nothing(learning: Learn) -> None:
 
 
 def test_half_an_update_a_step(learning: Learn) -> None:
-    run = learning(updates_per_step=0.5, lead_steps=16)
+    run = learning(utd_ratio=0.5, lead_steps=16)
     assert sum(play(run, first, 1) for first in range(24)) == (24 * 5 - 20) // 2 + 8
 
 
@@ -272,7 +272,7 @@ def test_a_state_that_does_not_fit_leaves_the_replay_alone(learning: Learn, tmp_
     run.close()
     before = sorted((p.name, p.stat().st_size) for p in (place / "replay").iterdir())
     with pytest.raises(RunDirectoryError, match="critics"):
-        learning(saved=saved, critics=3, replay_rows=10)
+        learning(saved=saved, num_critics=3, replay_rows=10)
     assert sorted((p.name, p.stat().st_size) for p in (place / "replay").iterdir()) == before
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy_trainer import OnPolicyLearning
+from a2s.learner.run.config import on_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.fields import Spaces
 

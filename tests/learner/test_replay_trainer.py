@@ -140,7 +140,7 @@ def test_the_size_of_returns_is_drawn_from_the_replay_before_every_twentieth_upd
     tmp_path: Path,
 ) -> None:
     """Rewards of 3, of what follows a thousandth: 3.003, and 3 at the end."""
-    learner(tmp_path, replay(3.0), normalise_return="true", gamma="0.001").run(lambda: False)
+    learner(tmp_path, replay(3.0), norm_return="true", gamma="0.001").run(lambda: False)
     tensors, _ = checkpoint.load(
         tmp_path / "checkpoints", kind="off-policy on Hopper-v5 from a replay"
     )
@@ -155,7 +155,7 @@ def test_a_run_that_was_resumed_is_one_that_went_on(tmp_path: Path) -> None:
         for updates in ends:
             resume = updates > ends[0]
             made = learner(
-                tmp_path / name, source, updates=updates, resume=resume, normalise_return="true"
+                tmp_path / name, source, updates=updates, resume=resume, norm_return="true"
             )
             made.run(lambda: False)
         folder = tmp_path / name / "checkpoints"

@@ -12,8 +12,8 @@ from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
 from a2s.commands.bench import Contender, Contest
 from a2s.learner.export.on_policy import export
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.update import OnPolicy
+from a2s.learner.run.config import on_policy
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Notice

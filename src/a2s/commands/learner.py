@@ -17,7 +17,7 @@ from a2s.commands.serving import pass_on, serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
 from a2s.learner.ingest.batching import Source
 from a2s.learner.learner import Learner
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.replay import directory
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.remote import RemoteReplay
@@ -135,7 +135,7 @@ def learn_from(
     out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
     with ExitStack() as stack:
         hyper = configuration.hyper
-        assert isinstance(hyper, OffPolicyHyper)
+        assert isinstance(hyper, OffPolicyConfig)
         if not Path(source).is_dir():
             _require_askable(hyper)
         replay, about, size, most = source_of(source, connect, stack, hyper.priority_exponent)
@@ -176,7 +176,7 @@ def learn_from(
     return _end(summary, stop, as_json=as_json)
 
 
-def _require_askable(hyper: OffPolicyHyper) -> None:
+def _require_askable(hyper: OffPolicyConfig) -> None:
     for name, most in {"n_step": MOST_STEPS, "batch_rows": MOST_SAMPLED}.items():
         if (found := getattr(hyper, name)) > most:
             raise UsageError(

@@ -4,7 +4,7 @@ from typing import Any
 
 import typer
 
-from a2s.learner.run.numerals import whole
+from a2s.learner.numerals import whole
 from a2s.protocol.errors import UsageError
 
 _LARGE = 100_000  # a range that ends beyond says nothing to a reader

@@ -12,8 +12,8 @@ import torch
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.off_policy import export
 from a2s.learner.off_policy.acting import OffPolicySuggester
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.run.config import off_policy
 
 torch.set_num_threads(1)
 
@@ -80,16 +80,16 @@ def test_graph_agrees_for_every_form_of_network(
     mode: str, network: str, layer_norm: bool, critics: int
 ) -> None:
     """Each form has nodes of its own."""
-    assert_agree(make(mode, network=network, layer_norm=layer_norm, critics=critics))
+    assert_agree(make(mode, network=network, layer_norm=layer_norm, num_critics=critics))
 
 
 @pytest.mark.parametrize(
     "options",
     [
-        {"normalise_obs": False},
+        {"norm_obs": False},
         {"quiet_rare_obs": False},
-        {"normalise_return": False},
-        {"quantiles": 7, "dropped_quantiles": 1},
+        {"norm_return": False},
+        {"num_quantiles": 7, "quantiles_to_drop": 1},
         {"precision": "bf16"},
         {"policy_sizes": "12", "critic_sizes": "6"},
         {"policy_sizes": "12,5,4", "critic_sizes": "6,5,4", "network": "residual"},

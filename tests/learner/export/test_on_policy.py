@@ -13,8 +13,8 @@ from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.on_policy import export
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.run.config import on_policy
 
 torch.set_num_threads(1)
 
@@ -29,7 +29,7 @@ def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
     q_net = make_critic(7, hyper.q_sizes, hyper, generator)
     for value in (policy.value, policy.log_std, q_net.value):
         value += 0.3 * torch.randn(value.shape, generator=generator)
-    normaliser = Normaliser(4, enabled=hyper.normalise_obs)
+    normaliser = Normaliser(4, enabled=hyper.norm_obs)
     normaliser.update(2.0 * torch.randn(100, 4, generator=generator) + 1.0)
     first = mode == "first"
     return Suggester(
@@ -40,7 +40,7 @@ def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
         action_high=HIGH,
         mode=mode,  # type: ignore[arg-type]
         suggestions=1 if first else suggestions,
-        temperature=hyper.temperature,
+        temperature=hyper.selection_temperature,
         action_mode=hyper.action_mode,
         q_scale=7.0,
     )
@@ -87,10 +87,10 @@ def test_graph_agrees_for_every_form_of_network(mode: str, layer_norm: bool) -> 
 @pytest.mark.parametrize(
     "options",
     [
-        {"normalise_obs": False},
+        {"norm_obs": False},
         {"learn_std": False, "std": 0.7},
         {"action_mode": "raw"},
-        {"temperature": 0.25},
+        {"selection_temperature": 0.25},
         {"policy_sizes": "12", "q_sizes": "6"},
         {"policy_sizes": "12,5,4", "q_sizes": "6,5,4"},
         {"init": "uniform"},
@@ -173,7 +173,7 @@ def test_replicated_noise_makes_a_plain_step() -> None:
 @pytest.mark.parametrize("mode", ["first", "hard", "soft"])
 def test_log_prob_is_that_of_the_suggestion_as_executed(mode: str) -> None:
     """Of the policy; soft selection adds how much likelier it made the choice than 1 in K."""
-    suggester = make(mode, temperature=0.7)
+    suggester = make(mode, selection_temperature=0.7)
     obs, normal = torch.randn(9, 4), torch.randn(9, suggester.suggestions, 3)
     choice = suggester(obs, normal, torch.randn(9, suggester.suggestions))
     seen = suggester.normaliser(obs)

@@ -8,7 +8,7 @@ from plain_sac import modules
 
 from a2s.learner.networks.ensemble import Ensemble, score_many
 from a2s.learner.networks.form import Form
-from a2s.learner.networks.options import Activation, Init, Network, Precision
+from a2s.learner.networks.options import Activation, Init, Network
 
 FORMS = [
     ((5, 16, 8, 3), "mlp"),
@@ -78,14 +78,14 @@ def test_a_trunk_has_no_gradient_by_what_it_sees() -> None:
 
 
 @pytest.mark.parametrize("network", ["mlp", "trunk"])
-@pytest.mark.parametrize("precision", ["f32", "bf16"])
-def test_several_actions_score_as_one_by_one(precision: Precision, network: Network) -> None:
+@pytest.mark.parametrize("bf16", [False, True])
+def test_several_actions_score_as_one_by_one(bf16: bool, network: Network) -> None:
     """The observation's part is computed once: of the first layer, or the whole trunk."""
     exact = make((6, 16, 8, 2), network)
-    ensemble = Ensemble(exact.form, exact.value, precision=precision)
+    ensemble = Ensemble(exact.form, exact.value, bf16=bf16)
     obs, action = torch.randn(9, 4), torch.randn(3, 9, 5, 2)
     found = ensemble.score(obs, action)
-    near = 1e-5 if precision == "f32" else 0.05
+    near = 0.05 if bf16 else 1e-5
     for member, k in itertools.product(range(3), range(5)):
         alone = ensemble(torch.cat([obs, action[member, :, k]], 1))[member].mean(1)
         torch.testing.assert_close(found[member, :, k], alone, rtol=near, atol=near)
@@ -126,7 +126,7 @@ def test_copy_has_parameters_of_its_own() -> None:
 def test_bf16_products_follow_the_parameters_when_refreshed(picked: bool) -> None:
     """They are made from a copy."""
     exact = make((3, 8, 1), "mlp", layer_norm=False, members=2)
-    rough = Ensemble(exact.form, exact.value.clone(), precision="bf16")
+    rough = Ensemble(exact.form, exact.value.clone(), bf16=True)
     exact.value.mul_(2.0)
     rough.value.mul_(2.0)
     rough.refresh()

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from a2s.learner.off_policy.acting import OffPolicySuggester
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.run.config import off_policy
 
 LOW, HIGH = torch.tensor([-0.4, 1.0]), torch.tensor([0.4, 5.0])
 

@@ -9,18 +9,18 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from a2s.learner.off_policy.noise import Noise
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.recorded_update import RecordedUpdate
 from a2s.learner.off_policy.state import OffPolicyLearned
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
+from a2s.learner.run.config import off_policy
 
 OPTIONS: list[dict[str, object]] = [
     {},
     {"target_groups": 2, "selector": "mean"},
-    {"quantiles": 5, "dropped_quantiles": 1},
+    {"num_quantiles": 5, "quantiles_to_drop": 1},
     {"policy_loss": "score", "network": "residual"},
-    {"network": "trunk", "normalise_obs": False},
+    {"network": "trunk", "norm_obs": False},
 ]
 ROWS, OBS, ACTION = 16, 5, 2
 

@@ -8,10 +8,11 @@ import torch
 from plain_sac import PlainSac, modules
 
 from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.off_policy.config import PRESETS
 from a2s.learner.off_policy.noise import Noise, draw_noise
-from a2s.learner.off_policy.presets import PRESETS, off_policy
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.run.config import off_policy
 from a2s.protocol.errors import RunDirectoryError
 
 OBS, ACTION, ROWS = 5, 3, 32
@@ -52,10 +53,10 @@ def noise_of(algorithm: OffPolicy, seed: int) -> Noise:
     "options",
     [
         {},
-        {"layer_norm": False, "normalise_obs": False},
+        {"layer_norm": False, "norm_obs": False},
         {"network": "residual"},
         {"network": "residual", "critic_sizes": "24,16,8", "layer_norm": False},
-        {"critics": 5},
+        {"num_critics": 5},
         {"network": "trunk"},
     ],
     ids=str,
@@ -93,7 +94,7 @@ def compare_to_plain_sac(algorithm: OffPolicy, updates: int, near: float) -> Non
 @pytest.mark.parametrize("quantiles", [1, 5])
 def test_the_unit_of_rewards_does_not_matter(quantiles: int) -> None:
     """Eight times the rewards: the same weights to the bit, and eight times what is reported."""
-    options = {"normalise_return": True, "quantiles": quantiles, "dropped_quantiles": 0}
+    options = {"norm_return": True, "num_quantiles": quantiles, "quantiles_to_drop": 0}
     one, other = (make("modern", **options) for _ in range(2))
     one.observe_returns(torch.tensor([3.0, -4.0]))
     other.observe_returns(torch.tensor([24.0, -32.0]))
@@ -125,7 +126,7 @@ def test_the_unit_of_observations_does_not_matter() -> None:
 
 def test_returns_are_learned_in_units_of_their_size() -> None:
     """With rewards divided by 5 before, and nothing to normalise, it is the same to the bit."""
-    plain = make("modern", normalise_return=False)
+    plain = make("modern", norm_return=False)
     ours = make("modern")
     ours.observe_returns(torch.tensor([5.0, -5.0]))
     for number in range(3):
@@ -150,7 +151,7 @@ def test_acting_has_no_part_in_the_update(name: str) -> None:
     [
         {},
         {"selector": "mean", "target_groups": 3},
-        {"quantiles": 5, "dropped_quantiles": 1},
+        {"num_quantiles": 5, "quantiles_to_drop": 1},
         {"precision": "bf16"},
     ],
     ids=str,
@@ -176,7 +177,7 @@ def test_goes_on_to_the_bit_from_a_state(preset: str, options: dict[str, Any]) -
 def test_state_of_other_sizes_is_refused() -> None:
     """By name."""
     with pytest.raises(RunDirectoryError, match="learner state: critics: found shape"):
-        make(critics=3).load(make().state())
+        make(num_critics=3).load(make().state())
 
 
 def test_broken_weights_are_noticed() -> None:
@@ -214,7 +215,7 @@ def test_next_observation_counts_where_the_discount_is_not_zero() -> None:
 
 def test_targets_by_hand() -> None:
     """Constant critics: y = r + gamma^n (Q - temperature (log pi + c_K)), to the number."""
-    algorithm = make(target_suggestions=4, target_groups=2, normalise_obs=False)
+    algorithm = make(target_suggestions=4, target_groups=2, norm_obs=False)
     learned = algorithm.learned
     learned.targets.value.zero_()
     learned.critics.value.zero_()
@@ -270,7 +271,9 @@ def test_temperature_rises_while_the_entropy_is_too_low() -> None:
 @pytest.mark.parametrize("selector", ["one", "mean"])
 def test_target_is_that_of_a_loop_over_groups_and_suggestions(selector: str) -> None:
     """Equations 7 and 8, one suggestion at a time."""
-    algorithm = make(selector=selector, target_suggestions=4, target_groups=3, critics=2, tau=0.5)
+    algorithm = make(
+        selector=selector, target_suggestions=4, target_groups=3, num_critics=2, tau=0.5
+    )
     for number in range(3):  # until critics and targets differ
         algorithm.update(batch(number))
     learned, rows, noise = algorithm.learned, batch(7), noise_of(algorithm, 7)

@@ -5,8 +5,8 @@ import torch
 
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.on_policy.acting import Suggester, SuggesterMode
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.run.config import on_policy
 
 LOW, HIGH = torch.tensor([-0.4, 1.0]), torch.tensor([0.4, 5.0])
 

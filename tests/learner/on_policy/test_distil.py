@@ -13,8 +13,8 @@ from a2s.learner.on_policy.distil import (
     distil_target,
     score_in_parts,
 )
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.run.config import on_policy
 
 
 class Nearest(Ensemble):

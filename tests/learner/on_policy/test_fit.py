@@ -39,7 +39,7 @@ def epochs(
         target,
         epochs=count,
         minibatch=32,
-        least_minibatches=1,
+        min_minibatches=1,
         learning_rate=rate,
         max_grad_norm=0.0,
         generator=torch.Generator().manual_seed(5),

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy_trainer import OffPolicyLearning
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy_trainer import OnPolicyLearning
+from a2s.learner.run.config import off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Learning
 from a2s.protocol.fields import Array, Spaces
@@ -73,7 +72,7 @@ def test_on_policy(preset: str, options: dict[str, Any], names: tuple[str, ...])
     ("preset", "options"),
     [
         ("modern", {}),
-        ("modern", {"normalise_return": False, "prioritised": True, "n_step": 64}),
+        ("modern", {"norm_return": False, "prioritised": True, "n_step": 64}),
         ("sac", {}),
         ("paper", {}),
     ],

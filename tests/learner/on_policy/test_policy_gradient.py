@@ -16,9 +16,9 @@ from a2s.learner.on_policy.policy_gradient import (
     normalised,
     policy_loss,
 )
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.state import make_policy
 from a2s.learner.on_policy.suggestion import log_preference, select_soft, take
+from a2s.learner.run.config import on_policy
 
 
 def density_of(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from a2s.learner.run.numerals import whole, written
+from a2s.learner.numerals import whole, written
 
 
 @pytest.mark.parametrize(
