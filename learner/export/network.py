@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from a2s.learner.export.graph import Nodes, Numbers, as_array
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
-from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
-from a2s.learner.networks.layers import Activation, Layer, Linear, Norm, Residual
+from a2s.learner.networks.layer_norm import LAYER_NORM_EPS, Norm
+from a2s.learner.networks.layers import Activation, Layer, Linear, Residual
 
 
 def network_numbers(name: str, ensemble: Ensemble, member: int = 0) -> Numbers:

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.form import Form
-from a2s.learner.networks.layers import Weights, product, run, run_back
+from a2s.learner.networks.layers import product, run, run_back
+from a2s.learner.networks.weights import Weights
 
 
 class Tape(NamedTuple):

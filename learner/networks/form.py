@@ -6,10 +6,11 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor, nn
 
-from a2s.learner.networks.layer_norm import Affine
-from a2s.learner.networks.layers import Activation, Layer, Linear, Norm, Residual, Weights
+from a2s.learner.networks.layer_norm import Norm
+from a2s.learner.networks.layers import Activation, Layer, Linear, Residual
 from a2s.learner.networks.options import Activation as Function
 from a2s.learner.networks.options import Init, Network
+from a2s.learner.networks.weights import Affine, Weights
 
 
 class Form:

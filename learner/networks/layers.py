@@ -6,38 +6,15 @@ given, a list, it appends what its gradient needs.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from a2s.learner.networks import options
-from a2s.learner.networks.layer_norm import Affine, layer_norm, layer_norm_back, sum_rows
+from a2s.learner.networks.weights import Weights
 
 _aten = torch.ops.aten
-
-
-class Weights(NamedTuple):
-    """The parameters of a network, or their gradients.
-
-    Attributes:
-        weight: Of each Linear, ``[E, in, out]``, in the precision of matrix products; of a single
-            network ``[in, out]``.
-        bias: ``[E, 1, out]``, or ``[out]``.
-        norms: Of each Norm, float32.
-    """
-
-    weight: list[Tensor]
-    bias: list[Tensor]
-    norms: list[Affine]
-
-    def pick(self, members: Tensor) -> "Weights":
-        """Those of some members by their numbers, int64 ``[N]``: gathered, not views."""
-        return Weights(
-            [each.index_select(0, members) for each in self.weight],
-            [each.index_select(0, members) for each in self.bias],
-            [each.pick(members) for each in self.norms],
-        )
 
 
 class Layer(Protocol):
@@ -129,26 +106,6 @@ class Activation:
         return through
 
 
-class Norm:
-    """Layer normalisation, see `layer_norm`; ``bias`` numbers that of the Linear below, if left."""
-
-    def __init__(self, index: int, *, bias: int | None, relu: bool, compiled: bool) -> None:
-        self.index = index
-        self.bias = bias
-        self.relu = relu
-        self.compiled = compiled
-
-    def forward(self, weights: Weights, x: Tensor, tape: list[Any] | None) -> Tensor:
-        """Normalise over the last dimension."""
-        affine = weights.norms[self.index]
-        return layer_norm(x, affine, relu=self.relu, compiled=self.compiled, tape=tape)
-
-    def backward(self, weights: Weights, grads: Weights | None, kept: Any, grad: Tensor) -> Tensor:
-        """Go through the normalisation."""
-        into = None if grads is None else grads.norms[self.index]
-        return layer_norm_back(kept, grad, weights.norms[self.index], relu=self.relu, into=into)
-
-
 class Residual:
     """``x + f(x)``, where ``inner`` are the layers of f."""
 
@@ -203,3 +160,11 @@ def _is_slow(weight: Tensor) -> bool:
     But in bfloat16 it adds up in float32.
     """
     return weight.dim() == 3 and weight.shape[2] == 1 and weight.dtype != torch.bfloat16
+
+
+def sum_rows(x: Tensor, into: Tensor) -> None:
+    """Overwrite ``into``, ``[E, 1, W]`` or ``[W]``, with the sums over the rows."""
+    if x.dtype == into.dtype:
+        torch.sum(x, -2, keepdim=into.dim() > 1, out=into)
+    else:
+        into.copy_(x.sum(-2, keepdim=into.dim() > 1))

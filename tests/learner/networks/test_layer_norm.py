@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from a2s.learner.networks.layer_norm import LAYER_NORM_EPS, Affine, layer_norm, layer_norm_back
+from a2s.learner.networks.layer_norm import LAYER_NORM_EPS, Norm
+from a2s.learner.networks.weights import Affine, Weights
 
 EXACT = {torch.float64: 1e-12, torch.float32: 1e-5, torch.bfloat16: 2.0**-8}
 
@@ -36,9 +37,9 @@ def tensors(affine: Affine) -> list[Tensor]:
     return [each for each in every if each is not None]
 
 
-def without_tape(x: Tensor, affine: Affine, relu: bool = False) -> Tensor:
-    """What the kernels make where no gradient is wanted."""
-    return layer_norm(x, affine, relu=relu, compiled=True, tape=None)
+def only(affine: Affine) -> Weights:
+    """Those of a network that is one normalisation."""
+    return Weights([], [], [affine])
 
 
 def assert_close(found: Tensor, wanted: Tensor, tolerance: float) -> None:
@@ -75,8 +76,9 @@ def test_values_and_gradients_are_those_of_autograd(
     if not biased:
         affine, into = dataclasses.replace(affine, bias=None), dataclasses.replace(into, bias=None)
     tape: list[Any] = []
-    normed = layer_norm(x, affine, relu=relu, compiled=compiled, tape=tape)
-    through = layer_norm_back(tape[0], grad, affine, relu=relu, into=into)
+    norm = Norm(0, relu=relu, compiled=compiled)
+    normed = norm.forward(only(affine), x, tape)
+    through = norm.backward(only(affine), only(into), tape[0], grad)
     assert normed.dtype == through.dtype == kind
     kept = grad * (normed > 0) if relu else grad  # rounding may decide what is cut
     out, by_x, *by_affine = autograd(x, affine if biased else without, kept)
@@ -94,9 +96,10 @@ def test_bfloat16_is_rounded_to_the_nearest_and_ties_to_even() -> None:
     """By hand: a row (-a, a) becomes (-1, 1), to which the offset is added, and then rounded."""
     x = torch.tensor([[[-4096.0, 4096.0]]], dtype=torch.bfloat16)
     half = torch.tensor([[[2.0**-8, 2.0**-8]]])  # 1 + 2^-8 is between 1 and 1 + 2^-7
-    found = without_tape(x, Affine(torch.ones(1, 1, 2), half, None))
+    norm = Norm(0, compiled=True)
+    found = norm.forward(only(Affine(torch.ones(1, 1, 2), half, None)), x, None)
     assert found.float().tolist() == [[[-1.0 + 2.0**-8, 1.0]]]
-    found = without_tape(x, Affine(torch.ones(1, 1, 2), 3.0 * half, None))
+    found = norm.forward(only(Affine(torch.ones(1, 1, 2), 3.0 * half, None)), x, None)
     assert found.float()[0, 0, 1] == 1.0 + 2.0**-6
 
 
@@ -106,11 +109,12 @@ def test_gradients_that_are_not_wanted_are_not_written(kind: torch.dtype) -> Non
     x, affine = torch.randn(2, 4, 8, dtype=kind), drawn(2, 8, kind, generator)
     before = [each.clone() for each in tensors(affine)]
     tape: list[Any] = []
-    layer_norm(x, affine, relu=True, compiled=True, tape=tape)
-    without = layer_norm_back(tape[0], x, affine, relu=True, into=None)
+    norm = Norm(0, relu=True, compiled=True)
+    norm.forward(only(affine), x, tape)
+    without = norm.backward(only(affine), None, tape[0], x)
     assert all(torch.equal(*pair) for pair in zip(tensors(affine), before, strict=True))
     into = Affine(*(torch.zeros_like(each) for each in before))
-    assert torch.equal(without, layer_norm_back(tape[0], x, affine, relu=True, into=into))
+    assert torch.equal(without, norm.backward(only(affine), only(into), tape[0], x))
     assert all(bool(each.any()) for each in tensors(into))
 
 
@@ -119,7 +123,8 @@ def test_memory_in_another_order_is_read_right() -> None:
     affine = drawn(2, 8, torch.float32, torch.Generator().manual_seed(0))
     part = torch.randn(2, 4, 11)[..., 3:]
     tape: list[Any] = []
-    found = layer_norm(part, affine, relu=True, compiled=True, tape=tape)
-    assert torch.equal(found, without_tape(part.clone(), affine, relu=True))
-    back = layer_norm_back(tape[0], part, affine, relu=True, into=None)
-    assert torch.equal(back, layer_norm_back(tape[0], part.clone(), affine, relu=True, into=None))
+    norm, weights = Norm(0, relu=True, compiled=True), only(affine)
+    found = norm.forward(weights, part, tape)
+    assert torch.equal(found, norm.forward(weights, part.clone(), None))
+    back = norm.backward(weights, None, tape[0], part)
+    assert torch.equal(back, norm.backward(weights, None, tape[0], part.clone()))
