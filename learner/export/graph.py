@@ -145,15 +145,16 @@ def fill(template: Any, numbers: Numbers, metadata: Mapping[str, str]) -> bytes:
     model = onnx.ModelProto()
     model.CopyFrom(template)
     read = {name for node in template.graph.node for name in node.input}
-    for name in numbers.keys() & read:
-        model.graph.initializer.append(
-            TensorProto(
-                name=name,
-                dims=numbers[name].shape,
-                data_type=TensorProto.FLOAT,
-                raw_data=numbers[name].tobytes(),
+    for name, array in numbers.items():
+        if name in read:
+            model.graph.initializer.append(
+                TensorProto(
+                    name=name,
+                    dims=array.shape,
+                    data_type=TensorProto.FLOAT,
+                    raw_data=array.tobytes(),
+                )
             )
-        )
     for key, value in metadata.items():
         model.metadata_props.add(key=key, value=value)
     data: bytes = model.SerializeToString()

@@ -67,8 +67,10 @@ class Form:
             self.layers, width = self._chain(inputs, hidden)
         self.layers.append(self._linear(width, outputs))
         self.first = _linear(self.layers)
-        self.length = sum((rows + 1) * columns for rows, columns in self.linears)
-        self.length += 2 * sum(self._norm_widths)
+        length = sum((rows + 1) * columns for rows, columns in self.linears)
+        length += 2 * sum(self._norm_widths)
+        # A kernel rounds the rest of a vector of no whole number of registers in another way.
+        self.length = -(-length // 16) * 16
 
     def weights(self, flat: Tensor, *, single: bool = False) -> Weights:
         """Views of a vector ``[E length]``; if single, E is 1 and no view has that dimension."""
