@@ -77,6 +77,16 @@ def test_a_trunk_has_no_gradient_by_what_it_sees() -> None:
         ensemble.by_input(tape, torch.ones_like(out), 2)
 
 
+def test_padding_stays_zero() -> None:
+    """It is in the optimiser's vector, and must not wander."""
+    ensemble = make((5, 3, 1), "mlp", members=2)
+    out, tape = ensemble.trace(torch.randn(4, 5))
+    ensemble.differentiate(tape, torch.ones_like(out))
+    assert len(ensemble.value) == 64  # 28 parameters of each member, and 4 of padding
+    assert ensemble.grad[-8:].tolist() == [0.0] * 8
+    assert bool((ensemble.grad[:-8] != 0).any())
+
+
 @pytest.mark.parametrize("network", ["mlp", "trunk"])
 @pytest.mark.parametrize("bf16", [False, True])
 def test_several_actions_score_as_one_by_one(bf16: bool, network: Network) -> None:

@@ -54,7 +54,7 @@ def test_gradient_of_a_learned_std_is_beside_that_of_the_network() -> None:
         mean, tape = policy.trace(torch.randn(7, 4))
         policy.grad.fill_(float("nan"))
         policy.differentiate(tape, torch.ones_like(mean), torch.tensor([3.0, 4.0]))
-        assert bool(policy.grad.isfinite().all())
+        assert bool(policy.grad[:-6].isfinite().all())  # 74 parameters and 6 of padding
         assert (policy.grad[:2].tolist() == [3.0, 4.0]) == policy.learns_std
 
 
