@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Terms
@@ -21,7 +20,6 @@ from a2s.learner.run import checkpoint
 from a2s.learner.run.config import Configuration
 from a2s.learner.run.directory import RunDirectory, column_of, write_summary
 from a2s.learner.run.episode_stats import EpisodeRecord
-from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
 from a2s.learner.run.status import Report, Standing, summarise
@@ -69,8 +67,6 @@ class Learner:
     ) -> None:
         self._run = configuration.run
         self._metrics, self._view = metrics, view
-        torch.set_num_threads(self._run.threads)
-        keep_freed_memory()
         self._at = Standing()
         self._kind = f"{self._run.variant} on {self._run.env}"
         saved, state = None, None

@@ -25,7 +25,6 @@ from a2s.learner.run import checkpoint
 from a2s.learner.run.config import Configuration
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_stats import EpisodeRecord
-from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.status import Standing, summarise
 from a2s.protocol.codec import MAX_BYTES, MIB
@@ -86,8 +85,6 @@ class FromReplay:
             )
         self._wanted = min(max(hyper.warm_up_steps, hyper.batch_rows), most)
         self._source, self._size, self._metrics = source, size, metrics
-        torch.set_num_threads(self._run.threads)
-        keep_freed_memory()
         row_bytes = 8 * (spaces.obs_size + spaces.action_size + 3)
         self._statistics_rows = min(MOST_SAMPLED, _ANSWER_BYTES // row_bytes)
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
