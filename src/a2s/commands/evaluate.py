@@ -30,14 +30,8 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Evaluate a run directory or a policy file.
 
-    Args:
-        run: Either.
-        options: Of the environment, as `environment_of` takes them, where they are not the run's.
-        episodes: How many to play.
-        mode: How to act.
-        weights: ``latest`` or ``best``, of a run.
-        seed: Of the episodes.
-        proceed: Asked again and again; when false, the evaluation ends.
+    ``options`` of the environment replace the run's, as `environment_of` takes them; ``weights``
+    of a run are ``latest`` or ``best``. The evaluation ends when ``proceed`` says false.
 
     Returns:
         The JSON object of ``a2s evaluate --json``; empty when told not to proceed.

@@ -140,12 +140,8 @@ def learn_from(
 ) -> int:
     """Learn from the replay of another run, without actors.
 
-    Args:
-        configuration: Of this run; the replay says which environment it is.
-        place: Of this run.
-        source: A run directory, or the name of a run whose learner listens on ``connect``.
-        env: The environment that the user expects, if any.
-        connect: Endpoint of that learner.
+    The replay, ``source`` as in `source_of`, says which environment it is; ``env`` is the one
+    that the user expects, if any.
 
     Returns:
         The exit code.

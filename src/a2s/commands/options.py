@@ -93,8 +93,7 @@ TotalSteps = Annotated[int | None, whole_number(
     help="Environment steps at which the run ends, for example 1e6.",
 )]
 Seed = Annotated[int | None, whole_number(
-    _RUN, "--seed", low=0, high=2**63 - 1, show_default="0",
-    help="Seed of everything.",
+    _RUN, "--seed", low=0, high=2**63 - 1, show_default="0", help="Seed of everything.",
 )]
 Run = Annotated[str | None, option(
     _RUN, "--run", metavar="NAME", show_default="default",
@@ -105,8 +104,7 @@ RunDir = Annotated[Path | None, option(
     help="Directory of the run.",
 )]
 Resume = Annotated[bool, option(
-    _RUN, "--resume",
-    help="Go on from the newest checkpoint of the run.",
+    _RUN, "--resume", help="Go on from the newest checkpoint of the run.",
 )]
 Config = Annotated[Path | None, option(
     _RUN, "--config", metavar="FILE",
@@ -117,8 +115,7 @@ KeepPolicyEvery = Annotated[int | None, whole_number(
     help="Keep a copy of the policy in policies/ after every N updates; 0: never.",
 )]
 Episodes = Annotated[int, whole_number(
-    _RUN, "--episodes", low=1,
-    help="Episodes to play.",
+    _RUN, "--episodes", low=1, help="Episodes to play.",
 )]
 WhichWeights = Annotated[str, option(
     _RUN, "--weights", metavar="latest|best",
@@ -183,8 +180,7 @@ Lockstep = Annotated[bool | None, option(
     help="Use each version for one batch, reproducibly; or never let actors wait.",
 )]
 PrintConfig = Annotated[bool, option(
-    _ALGORITHM, "--print-config",
-    help="Show every setting with its source, and do nothing else.",
+    _ALGORITHM, "--print-config", help="Show every setting with its source, and do nothing else.",
 )]
 Mode = Annotated[str, option(
     _ALGORITHM, "--mode", metavar="mean|best-of-k|behaviour",
@@ -192,16 +188,14 @@ Mode = Annotated[str, option(
 )]
 
 N = Annotated[int | None, whole_number(
-    _PLACE, "--n", "-n", low=1,
-    help="Actor processes.",
+    _PLACE, "--n", "-n", low=1, help="Actor processes.",
 )]
 Envs = Annotated[int | None, whole_number(
     _PLACE, "--envs", low=1, high=4096, show_default="8",
     help="Environments in each actor process.",
 )]
 Threads = Annotated[int | None, whole_number(
-    _PLACE, "--threads", low=1, show_default="1",
-    help="Threads of torch in the learner.",
+    _PLACE, "--threads", low=1, show_default="1", help="Threads of torch in the learner.",
 )]
 Device = Annotated[str | None, option(
     _PLACE, "--device", metavar="cpu|cuda", show_default="cpu",
@@ -212,8 +206,7 @@ Listen = Annotated[str | None, option(
     help="Endpoint on which the learner listens.",
 )]
 Connect = Annotated[str, option(
-    _PLACE, "--connect", metavar="ENDPOINT",
-    help="Endpoint of the learner.",
+    _PLACE, "--connect", metavar="ENDPOINT", help="Endpoint of the learner.",
 )]
 ReplayFrom = Annotated[str | None, option(
     None, "--replay-from", metavar="RUN", show_envvar=True,
@@ -228,12 +221,10 @@ MetricsPort = Annotated[int | None, whole_number(
     help="Port of /metrics: 0 takes any free one, -1 serves none.",
 )]
 MetricsHost = Annotated[str, option(
-    _PLACE, "--metrics-host",
-    help="Address on which /metrics is served.",
+    _PLACE, "--metrics-host", help="Address on which /metrics is served.",
 )]
 Json = Annotated[bool, option(
-    _PLACE, "--json",
-    help="Print one JSON object as the last line of standard output.",
+    _PLACE, "--json", help="Print one JSON object as the last line of standard output.",
 )]
 
 # fmt: on

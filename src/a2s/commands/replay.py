@@ -20,12 +20,7 @@ from a2s.protocol.zenoh_bus import ZenohBus
 
 
 def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
-    """Say what a replay holds.
-
-    Args:
-        path: A run or replay directory.
-        connect: Endpoint of a learner, when there is no path.
-        run: Its run.
+    """Say what a replay holds: of a run or replay directory, or of a run served at an endpoint.
 
     Returns:
         For example ``{"env": "Hopper-v5", "transitions": 81920, ...}``.
@@ -48,15 +43,7 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
 def sample(
     path: Path | None, connect: str | None, run: str, batch_size: int, seed: int, **how: Any
 ) -> Transitions:
-    """Draw a batch.
-
-    Args:
-        path: A run or replay directory.
-        connect: Endpoint of a learner, when there is no path.
-        run: Its run.
-        batch_size: B.
-        seed: Of the draw.
-        how: ``n_step``, ``gamma``, ``prioritised``, ``beta``, as `Replay.sample` takes them.
+    """Draw a batch from the replay that `info` describes; ``how`` is as `Replay.sample` takes it.
 
     Raises:
         UsageError: Both, or neither, of path and endpoint are given.

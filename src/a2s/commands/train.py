@@ -44,14 +44,9 @@ def train(
 ) -> int:
     """Train, evaluate, plot, and say where everything is.
 
-    Args:
-        configuration: Of the run.
-        path: Of the run.
-        listen: Endpoint of the learner; ``None`` takes a free port of this machine.
-        metrics_port: Of the learner; the actors take a free one.
-        resume: Go on with the run in ``path``.
-        as_json: Print the summary as the last line of standard output, and all else elsewhere.
-        evaluation: Arguments of :func:`a2s.commands.evaluate.evaluate_run`.
+    The learner listens on a free port of this machine where ``listen`` is ``None``; the actors
+    serve their metrics on a free port. ``evaluation`` has the arguments of `evaluate_run`.
+    ``as_json`` prints the summary as the last line of standard output, and all else elsewhere.
 
     Returns:
         The exit code.
