@@ -14,7 +14,6 @@ Selection = Literal["hard", "soft"]
 Network = Literal["mlp", "residual", "trunk"]
 Precision = Literal["fastest", "f32", "bf16"]
 OffPolicyLoss = Literal["pathwise", "score"]
-Selector = Literal["one", "mean"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,11 +51,6 @@ class OffPolicyConfig(Settings):
         "a batch is a mean already",
         low=1,
         high=1024,
-    )
-    selector: Selector = setting(
-        "one",
-        "Who picks in the update: ``one`` online critic, drawn anew, or the ``mean`` of all",
-        "the maximum of what also evaluates is biased upwards",
     )
     num_critics: int = setting(
         2,
@@ -109,11 +103,6 @@ class OffPolicyConfig(Settings):
         "Observations are shifted and scaled by their running mean and standard deviation",
         "SimBa (Lee et al. 2024)",
     )
-    quiet_rare_obs: bool = setting(
-        True,
-        "Normalised ones are scaled further, by the share of steps in which they are not 0",
-        "contact forces drown the rest; docs/adr/0016",
-    )
     norm_return: bool = setting(
         True,
         "Rewards are divided by the size of returns; temperature and ``kappa`` are in that unit",
@@ -126,15 +115,8 @@ class OffPolicyConfig(Settings):
     )
     policy_loss: OffPolicyLoss = setting(
         "pathwise",
-        "``pathwise``: along the gradient of Q; ``score``: log-density times advantage",
+        "``pathwise``: the gradient of Q; ``score``: log-density times advantage over K_act",
         "SAC (Haarnoja et al. 2018), table 1",
-    )
-    distil_suggestions: int = setting(
-        4,
-        "K_distil, fresh suggestions per observation for the loss ``score``",
-        "where policy_loss is score",
-        low=1,
-        high=1024,
     )
     entropy_per_action: float = setting(
         -1.0,
@@ -273,8 +255,6 @@ class OffPolicyConfig(Settings):
                 refuse("initial_temperature", 0.0, "above 0 with selection soft")
         if self.network == "trunk" and len(self.critic_sizes) < 2:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
-        if self.policy_loss == "score" and self.distil_suggestions == 1:
-            refuse("distil_suggestions", 1, "at least 2 with policy_loss score")
 
 
 class Preset(NamedTuple):
@@ -304,7 +284,6 @@ _PAPER = replace(
     selection="hard",  # paper, algorithm 2
     target_suggestions=10,  # paper, table 3
     target_groups=3,  # paper, section 4.2: low; the authors' code has 1 to 3
-    selector="mean",  # there is one critic
     num_critics=1,  # paper, algorithm 2
     num_quantiles=1,  # paper, algorithm 2
     quantiles_to_drop=0,  # not used here
@@ -313,11 +292,9 @@ _PAPER = replace(
     critic_sizes=(128, 64),  # paper, section 5
     policy_sizes=(64, 64),  # paper, section 5
     norm_obs=False,  # authors' code
-    quiet_rare_obs=False,  # not used here
     norm_return=False,  # paper, algorithm 2
     precision="f32",  # networks too small to gain
     policy_loss="score",  # paper, algorithm 2
-    distil_suggestions=10,  # V is the mean of Q over K suggestions
     initial_temperature=0.0,  # paper, algorithm 2
     temperature_learning_rate=0.0,  # paper, algorithm 2
     average_updates=0,  # paper, algorithm 2

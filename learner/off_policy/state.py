@@ -11,7 +11,7 @@ from a2s.learner.off_policy.return_size import ReturnSize
 from a2s.learner.on_policy.state import check_tensors
 
 
-class OffPolicyLearned:
+class TrainState:
     """Networks, their optimisers, the temperature and the normalisers.
 
     Args:
@@ -45,9 +45,7 @@ class OffPolicyLearned:
             first = form.draw(members, generator).to(device)
             return Ensemble(form, first, precision=hyper.precision)
 
-        self.normaliser = Normaliser(
-            obs_size, enabled=hyper.norm_obs, quiets_rare=hyper.quiet_rare_obs
-        ).to(device)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs, quiets_rare=True).to(device)
         self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
@@ -70,7 +68,7 @@ class OffPolicyLearned:
             name: FusedAdam(value, learning_rate=rate) for name, (value, rate) in rates.items()
         }
 
-    def follow(self) -> None:
+    def update_average(self) -> None:
         """Move the average towards the policy.
 
         It reaches back over a tenth of the updates so far, so that the first ones do not last.

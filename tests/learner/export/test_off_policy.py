@@ -28,7 +28,7 @@ def make(mode: str, **options: Any) -> OffPolicySuggester:
     given = {**sizes, **options, **own}
     algorithm = OffPolicy(4, 3, off_policy("modern", given), 0)
     generator = torch.Generator().manual_seed(3)
-    for ensemble in (algorithm.learned.policy, algorithm.learned.critics):
+    for ensemble in (algorithm.train_state.policy, algorithm.train_state.critics):
         for view in ensemble.weights.full:
             view += 0.3 * torch.randn(view.shape, generator=generator)
         ensemble.refresh()
@@ -84,7 +84,6 @@ def test_graph_agrees_for_every_form_of_network(
     "options",
     [
         {"norm_obs": False},
-        {"quiet_rare_obs": False},
         {"norm_return": False},
         {"num_quantiles": 7, "quantiles_to_drop": 1},
         {"precision": "bf16"},
