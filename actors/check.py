@@ -21,7 +21,7 @@ from a2s.protocol.errors import said_by
 
 _STEPS = 2000
 _SECONDS = 5.0
-_MOST_REMARKS = 10
+_MAX_REMARKS = 10
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -151,7 +151,7 @@ def _check(parent: Parent) -> None:
         **_play(environment, rng),
     }
     environment.close()
-    remarks = _remarks(config, parent.activity)[:_MOST_REMARKS]
+    remarks = _remarks(config, parent.activity)[:_MAX_REMARKS]
     parent.report({"result": {**found, "remarks": remarks}})
 
 

@@ -21,8 +21,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from a2s.actors.activity import Activity, Doing, share
-from a2s.actors.families import FAMILY, end_family, inherit_orphans
-from a2s.actors.guard import start_guard
+from a2s.actors.families import FAMILY, end_family, inherit_orphans, start_guard
 from a2s.actors.words import Lines, Words
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
 
@@ -83,17 +82,13 @@ class Child:
         finally:
             for fd in (theirs, their_words, their_life, page):
                 os.close(fd)
+        self.pid = self._process.pid
         self._code: int | None = None
         _LIVING.add(self.pid)
         with contextlib.suppress(BrokenPipeError):  # it has died already
             os.write(self._life, (json.dumps(task) + "\n").encode())
         self._reader = threading.Thread(target=self._read, args=(report, words), daemon=True)
         self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        """Its process number."""
-        return self._process.pid
 
     def ended(self) -> int | None:
         """Give its exit code once it has ended, as `subprocess` counts; its family is gone then."""
@@ -150,7 +145,7 @@ class Child:
 
     def _read(self, report: int, words: int) -> None:
         """Read until nobody can write, or the child has ended and nothing more comes."""
-        lines: dict[int, Lines | Words] = {report: Lines(self._take), words: Words(self._on_words)}
+        lines = {report: Lines(self._take), words: Words(self._on_words)}
         ended_s = 0.0
         with selectors.DefaultSelector() as selector:
             for fd in lines:
@@ -181,7 +176,6 @@ class Watch:
     """Looks whether a child is held up in an environment.
 
     Args:
-        env_id: Of its environment.
         timeout_s: Seconds that a call may take.
         on_slow: Told, once for each call, that one has taken ten seconds.
     """
@@ -217,19 +211,12 @@ def ask_child(
 ) -> Report:
     """Run a child that answers once, and end it.
 
-    Args:
-        module: What it runs.
-        task: Told to it.
-        watch: Of its calls.
-        on_words: Told what it prints.
-        proceed: Asked again and again; when false, the child is ended.
-
     Returns:
-        What it reported under ``result``; empty when told not to proceed.
+        What it reported under ``result``; empty once ``proceed``, asked again and again, is false.
 
     Raises:
-        UsageError: So the child said.
-        FaultyEnvironmentError: So it said; or it died, or was held up in a call.
+        UsageError: The child said so.
+        FaultyEnvironmentError: The child said so, died, or was held up in a call.
     """
     reports: list[Report] = []
     answered = threading.Event()
@@ -254,7 +241,7 @@ def ask_child(
     if not reports:
         raise FaultyEnvironmentError(death_of(watch.env_id, code, last))
     if "error" in reports[0]:
-        raise error_of(reports[0]["error"])
+        raise _error_of(reports[0]["error"])
     return dict(reports[0]["result"])
 
 
@@ -271,15 +258,8 @@ def death_of(env_id: str, code: int, doing: Doing | None) -> str:
     return f"environment {env_id}: its process ended by {how}{where}"
 
 
-def told(error: A2SError) -> Report:
-    """Write an error for a parent."""
-    by_mistake = getattr(error, "by_mistake", False)
-    kind = "usage" if isinstance(error, UsageError) else "faulty"
-    return {"kind": kind, "message": str(error), "by_mistake": by_mistake}
-
-
-def error_of(report: Report) -> A2SError:
-    """Read an error of a child."""
+def _error_of(report: Report) -> A2SError:
+    """Read an error that a child told."""
     if report["kind"] == "usage":
         return UsageError(report["message"])
     return FaultyEnvironmentError(report["message"], by_mistake=report["by_mistake"])

@@ -13,7 +13,7 @@ import numpy as np
 
 from a2s.actors.children import Watch, ask_child
 from a2s.actors.environments.environment import Environment, require_alike
-from a2s.actors.environments.making import MOST_SEED, seed_globals
+from a2s.actors.environments.making import MAX_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import ENDLESS_STEPS, is_usable
 from a2s.actors.suggester import Mode, Suggester
@@ -119,7 +119,7 @@ def play(
         FaultyEnvironmentError: One raised, or returned what none may.
     """
     drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
-    *env_seeds, noise_seed = drawn & MOST_SEED
+    *env_seeds, noise_seed = drawn & MAX_SEED
     rng = np.random.default_rng(noise_seed)
     policy.check(environments[0].spaces, config.env_id)
     seed_globals(int(noise_seed))

@@ -1,4 +1,4 @@
-"""The way out: a bounded spool that keeps every segment until the learner has answered it."""
+"""The way out: a bounded queue that keeps every segment until the learner has answered it."""
 
 import random
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.messages import Ack, Segment
@@ -15,7 +15,7 @@ from a2s.protocol.transport import Bus
 
 _ASK_TIMEOUT_S = 3.0
 _BACK_OFF_S = (0.05, 1.0)
-_MOST_BYTES = 256 << 20
+_MAX_BYTES = 256 << 20
 
 
 class _Waiting(NamedTuple):
@@ -23,20 +23,17 @@ class _Waiting(NamedTuple):
     steps: int
 
 
-class Spool:
+class Outbox:
     """Sends segments in order, one at a time, each until it is answered.
 
     At least once on the wire: a segment without an answer is sent again, the same bytes. When the
-    spool is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
+    outbox is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
     of filling its memory.
 
     Args:
-        bus: The connection.
-        key: Where segments go.
         capacity_steps: Steps that may wait, in at most 256 MiB; at least one segment always fits.
         on_ack: Told every answer, on the sender's thread.
         on_unknown: Told that the learner does not know this actor, on the sender's thread.
-        tally: Where answers, retries and bytes are counted.
     """
 
     def __init__(
@@ -46,27 +43,22 @@ class Spool:
         capacity_steps: int,
         on_ack: Callable[[Ack], None],
         on_unknown: Callable[[], None],
-        tally: Tally,
+        metrics: ActorMetrics,
     ) -> None:
-        self._bus = bus
-        self._key = key
+        self._bus, self._key = bus, key
         self._made_for_steps = self._capacity_steps = capacity_steps
-        self._on_ack = on_ack
-        self._on_unknown = on_unknown
-        self._tally = tally
+        self._on_ack, self._on_unknown = on_ack, on_unknown
+        self._metrics = metrics
         self._waiting: deque[_Waiting] = deque()
-        self._steps = 0
-        self._bytes = 0
+        self._steps = self._bytes = 0
         self._random = random.Random()  # the global one is the environments'
         self._answered = 0
-        self._draining = False
-        self._closing = False
-        self._held_back = False
+        self._draining = self._closing = self._held_back = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._send_all, name="spool")
+        self._thread = threading.Thread(target=self._send_all, name="outbox")
         self._thread.start()
-        tally.gauge("outbox_capacity_transitions", capacity_steps)
-        tally.gauge("outbox_transitions", 0)
+        metrics.outbox_capacity.set(capacity_steps)
+        metrics.outbox.set(0)
 
     @property
     def steps(self) -> int:
@@ -79,14 +71,14 @@ class Spool:
         return self._answered
 
     def narrow(self, steps: int) -> None:
-        """Let at most so many steps wait from now on, if it was made for no fewer."""
+        """Let at most this many steps wait from now on, or what it was made for if that is less."""
         with self._changed:
             self._capacity_steps = min(self._made_for_steps, steps)
             self._changed.notify_all()
-        self._tally.gauge("outbox_capacity_transitions", self._capacity_steps)
+        self._metrics.outbox_capacity.set(self._capacity_steps)
 
     def put(self, segment: Segment, timeout_s: float) -> bool:
-        """Hand over a segment; blocks for at most ``timeout_s`` seconds while the spool is full.
+        """Hand over a segment; blocks for at most ``timeout_s`` seconds while the outbox is full.
 
         Returns:
             Whether it was taken.
@@ -101,11 +93,10 @@ class Spool:
         return True
 
     def _fits(self, item: _Waiting) -> bool:
-        capacity_steps = 0 if self._held_back else self._capacity_steps
         if not self._waiting:
             return True
-        fits = self._steps + item.steps <= capacity_steps
-        return fits and self._bytes + len(item.payload) <= _MOST_BYTES
+        fits = self._steps + item.steps <= self._capacity_steps and not self._held_back
+        return fits and self._bytes + len(item.payload) <= _MAX_BYTES
 
     def close(self, timeout_s: float) -> int:
         """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
@@ -123,7 +114,7 @@ class Spool:
         self._thread.join(_ASK_TIMEOUT_S)
         left = sum(item.steps for item in self._waiting)
         if left:
-            self._tally.count("dropped_transitions", left, reason="shutdown")
+            self._metrics.dropped.labels("shutdown").inc(left)
         return len(self._waiting)
 
     def _send_all(self) -> None:
@@ -148,26 +139,26 @@ class Spool:
     def _count(self, item: _Waiting, sign: int) -> None:
         self._steps += sign * item.steps
         self._bytes += sign * len(item.payload)
-        self._tally.gauge("outbox_transitions", self._steps)
+        self._metrics.outbox.set(self._steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
-        """Send until answered, or until the spool is closed; once only when it is to be emptied."""
+        """Send until answered or closed; once only when the outbox is to be emptied."""
         back_off_s, longest_s = _BACK_OFF_S
         while not self._closing:
             begin = perf_counter()
-            self._tally.count("messages_sent")
-            self._tally.count("sent_bytes", len(item.payload))
+            self._metrics.messages_sent.inc()
+            self._metrics.sent_bytes.inc(len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
             ack = self._read(reply)
             if ack is not None and ack.verdict == "unknown":
                 self._on_unknown()
             elif ack is not None:
-                self._tally.observe("send_seconds", perf_counter() - begin)
-                self._tally.count("acks", result=ack.verdict)
+                self._metrics.send_seconds.observe(perf_counter() - begin)
+                self._metrics.acks.labels(ack.verdict).inc()
                 return ack
             if self._draining:
                 return None
-            self._tally.count("retries")
+            self._metrics.retries.inc()
             self._pause(back_off_s * self._random.uniform(0.5, 1.0))
             back_off_s = min(back_off_s * 2, longest_s)
         return None

@@ -21,7 +21,7 @@ from a2s.actors.environments.faults import Env, Faults
 from a2s.protocol.env_config import EnvConfig, wrapper_of
 from a2s.protocol.errors import A2SError, UsageError
 
-MOST_SEED = 0x7FFF_FFFF  # what an int of C holds
+MAX_SEED = 0x7FFF_FFFF  # what an int of C holds
 _SHOWN = 8
 _START = Path.cwd()  # an environment may go elsewhere
 

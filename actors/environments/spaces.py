@@ -12,7 +12,7 @@ from gymnasium.spaces.utils import flatdim
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import Array, Spaces
 
-_MOST_OBS = 1_000_000
+_MAX_OBS = 1_000_000
 _PARTS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
 _NESTS = (spaces.Dict, spaces.Tuple)
 
@@ -28,10 +28,10 @@ def read_spaces(env_id: str, env: Env, frame_stack: int) -> Spaces:
     """
     low, high = _bounds(env_id, env)
     size = flatdim(env.observation_space) * frame_stack
-    if size > _MOST_OBS:
+    if size > _MAX_OBS:
         raise UsageError(
             f"environment {env_id}: found {size:,} numbers in an observation, expected at most "
-            f"{_MOST_OBS:,}; leave some out with a --wrapper"
+            f"{_MAX_OBS:,}; leave some out with a --wrapper"
         )
     return Spaces(obs_size=size, action_low=low, action_high=high)
 

@@ -147,15 +147,18 @@ def actor(
     envs: options.Envs = None,
     run: options.Run = None,
     connect: options.Connect = DEFAULT_ENDPOINT,
-    spool_steps: Annotated[
+    outbox_steps: Annotated[
         int,
         whole_number(
-            "--spool-steps",
-            env="A2S_SPOOL_STEPS",
+            "--outbox-steps",
+            env="A2S_OUTBOX_STEPS",
             least=1,
             help="Steps that each process keeps at most while the learner is away.",
         ),
     ] = 65_536,
+    spool_steps: Annotated[  # as it was called before
+        int | None, whole_number("--spool-steps", env="A2S_SPOOL_STEPS", least=1, hidden=True)
+    ] = None,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = _LOOPBACK,
 ) -> None:
@@ -168,7 +171,7 @@ def actor(
             envs=envs,
             run=run or "default",
             connect=connect,
-            spool_steps=spool_steps,
+            outbox_steps=spool_steps or outbox_steps,
             metrics_host=metrics_host,
             metrics_port=metrics_port,
         )

@@ -4,9 +4,9 @@ import logging
 import socket
 import sys
 
+from a2s.actors.actor import Task
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
-from a2s.actors.worker import Task
 from a2s.commands.serving import serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
 from a2s.protocol.keys import Keys
@@ -21,7 +21,7 @@ def act(
     envs: int | None,
     run: str,
     connect: str,
-    spool_steps: int,
+    outbox_steps: int,
     metrics_host: str,
     metrics_port: int | None,
 ) -> int:
@@ -44,7 +44,7 @@ def act(
             connect=connect,
             run=run,
             num_envs=envs,
-            spool_steps=spool_steps,
+            outbox_steps=outbox_steps,
         )
         for index in range(n)
     ]
