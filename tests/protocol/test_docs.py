@@ -17,11 +17,11 @@ from a2s.learner.off_policy_trainer import OffPolicyLearning
 from a2s.learner.run.config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.fields import MOST_METRICS, Spaces
+from a2s.protocol.fields import MAX_METRICS, Spaces
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.messages import (
-    MOST_PLAYED,
-    MOST_SUGGESTED,
+    MAX_PLAYED,
+    MAX_SUGGESTED,
     Ack,
     EpisodeMetric,
     Segment,
@@ -112,14 +112,14 @@ def test_the_largest_numbers_are_those_of_the_code() -> None:
     """An actor drops what is larger."""
     found = re.findall(r" from -(\S+) to (\S+\d)", section("Segment").split("|")[0])
     assert [(float(low), float(high)) for low, high in found] == [
-        (most, most) for most in (MOST_PLAYED, MOST_SUGGESTED, OffPolicyLearning.most_suggested)
+        (most, most) for most in (MAX_PLAYED, MAX_SUGGESTED, OffPolicyLearning.most_suggested)
     ]
 
 
 def test_the_most_metrics_are_those_of_the_code() -> None:
     """Those of the run and those of a segment: `is_success` is always one."""
-    assert f"at most {MOST_METRICS};" in section("Segment")
-    assert f"at most {MOST_METRICS - 1} others;" in section("EnvConfig")
+    assert f"at most {MAX_METRICS};" in section("Segment")
+    assert f"at most {MAX_METRICS - 1} others;" in section("EnvConfig")
 
 
 def test_the_keys_are_those_of_the_code() -> None:

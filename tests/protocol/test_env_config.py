@@ -7,7 +7,7 @@ import pytest
 
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import A2SError, MalformedMessageError, UsageError
-from a2s.protocol.fields import MOST_METRICS
+from a2s.protocol.fields import MAX_METRICS
 
 DEEP = 450_000
 MOST = 2**31 - 1
@@ -53,7 +53,7 @@ def one_line(error: A2SError) -> str:
             "environment: info_metrics: found '', expected 1 to 96 printable characters",
         ),
         (
-            {"info_metrics": tuple(f"m{i}" for i in range(MOST_METRICS))},
+            {"info_metrics": tuple(f"m{i}" for i in range(MAX_METRICS))},
             "environment: info_metrics: found 33, expected at most 32 with is_success",
         ),
     ],
@@ -69,7 +69,7 @@ def test_what_no_environment_can_be_made_with_is_refused(
 
 def test_the_limits_themselves_are_allowed() -> None:
     """As the page says."""
-    names = tuple(f"m{i}" for i in range(MOST_METRICS - 1))
+    names = tuple(f"m{i}" for i in range(MAX_METRICS - 1))
     config = make(
         action_repeat=MOST, frame_stack=MOST, max_episode_steps=MOST, timeout_s=1e-9,
         info_metrics=names,

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from a2s.protocol.errors import MalformedMessageError
-from a2s.protocol.fields import Array, Spaces, is_name
+from a2s.protocol.fields import MAX_METRICS, Array, Spaces, is_name
 from a2s.protocol.messages import (
-    MOST_METRICS,
     Ack,
     ActorStatus,
     EpisodeMetric,
@@ -238,7 +237,7 @@ def test_a_status_of_a_nameless_actor_is_refused(actor: str) -> None:
 
 def test_a_segment_has_a_bounded_number_of_metrics() -> None:
     """Each is a column of a table and a gauge."""
-    metrics = tuple(EpisodeMetric(name=f"m{i}", value=1.0) for i in range(MOST_METRICS + 1))
+    metrics = tuple(EpisodeMetric(name=f"m{i}", value=1.0) for i in range(MAX_METRICS + 1))
     assert make_segment(metrics=metrics[1:], terminated=True).metrics == metrics[1:]
     with pytest.raises(MalformedMessageError) as caught:
         make_segment(metrics=metrics, terminated=True)
