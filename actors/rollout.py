@@ -14,7 +14,7 @@ from a2s.actors.troubles import Troubles
 from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import FaultyEnvironmentError, MalformedMessageError
 from a2s.protocol.fields import Array
-from a2s.protocol.messages import MOST_PLAYED, EpisodeMetric, Notice, Segment
+from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric, Notice, Segment
 
 _MAX_USELESS_IN_A_ROW = 10
 _SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for what is not rows
@@ -155,7 +155,7 @@ class Rollout:
     def _step(self, slot: _Slot, choice: Choice, row: int, notice: Notice) -> Iterator[Segment]:
         """Make a step in one environment; gives the segments that end with it."""
         obs, reward, terminated, truncated = slot.environment.step(choice.action[row])
-        if not -MOST_PLAYED <= reward <= MOST_PLAYED:  # false for NaN as well
+        if not -MAX_PLAYED <= reward <= MAX_PLAYED:  # false for NaN as well
             return self._abandon(slot, notice, f"reward is {reward:g}", 1)
         slot.rows.append((slot.obs, choice.suggestion[row], choice.log_prob[row], reward))
         slot.episode_return += reward
@@ -196,7 +196,7 @@ class Rollout:
                 slot.episode_return -= reward
                 slot.episode_length -= 1
                 slot.quota_steps -= 1
-            bad = int(np.flatnonzero(~(np.abs(obs) <= MOST_PLAYED))[0])
+            bad = int(np.flatnonzero(~(np.abs(obs) <= MAX_PLAYED))[0])
             what = f"observation {bad} is {obs[bad]:g}"
             yield from self._abandon(slot, notice, what, int(is_step))
 
@@ -273,4 +273,4 @@ def is_usable(obs: Array) -> bool:
     """Whether all numbers can be sent: the square of one that cannot is too large, or none."""
     flat = obs.reshape(-1)
     square = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
-    return square <= MOST_PLAYED * MOST_PLAYED or bool((np.abs(flat) <= MOST_PLAYED).all())
+    return square <= MAX_PLAYED * MAX_PLAYED or bool((np.abs(flat) <= MAX_PLAYED).all())

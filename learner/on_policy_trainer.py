@@ -15,7 +15,7 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Outcome, Quota, Saved
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import MOST_SUGGESTED, Segment
+from a2s.protocol.messages import MAX_SUGGESTED, Segment
 from a2s.protocol.transport import Bus
 
 _HOLD_S = 0.05
@@ -41,7 +41,7 @@ class OnPolicyLearning:
     """
 
     columns = COLUMNS
-    most_suggested = MOST_SUGGESTED
+    most_suggested = MAX_SUGGESTED
 
     def __init__(
         self,

@@ -31,7 +31,7 @@ from a2s.learner.run.status import Standing, summarise
 from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import A2SError, UnreachableError, UsageError
 from a2s.protocol.fields import Spaces
-from a2s.protocol.replay_messages import MOST_SAMPLED, ReplaySample
+from a2s.protocol.replay_messages import MAX_SAMPLED, ReplaySample
 
 logger = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class FromReplay:
         torch.set_num_threads(self._run.threads)
         keep_freed_memory()
         row_bytes = 8 * (spaces.obs_size + spaces.action_size + 3)
-        self._statistics_rows = min(MOST_SAMPLED, _ANSWER_BYTES // row_bytes)
+        self._statistics_rows = min(MAX_SAMPLED, _ANSWER_BYTES // row_bytes)
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         seed = self._run.seed
         device = self._run.device

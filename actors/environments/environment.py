@@ -14,8 +14,8 @@ from a2s.actors.environments.observations import Observations
 from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError, said_by
-from a2s.protocol.fields import Array
-from a2s.protocol.messages import MOST_METRICS, EpisodeMetric
+from a2s.protocol.fields import MAX_METRICS, Array
+from a2s.protocol.messages import EpisodeMetric
 
 logger = logging.getLogger(__name__)
 
@@ -167,7 +167,7 @@ class Environment:
         if not isinstance(self._info, Mapping):
             return ()
         found = []
-        for name in self._metric_names[:MOST_METRICS]:
+        for name in self._metric_names[:MAX_METRICS]:
             try:
                 value = self._info.get(name)
                 if value is None:

@@ -11,7 +11,7 @@ from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.replay import transitions as stored
 from a2s.protocol.messages import Segment
-from a2s.protocol.replay_messages import MOST_STEPS
+from a2s.protocol.replay_messages import MAX_STEPS
 
 _RETURNS_EVERY_UPDATES = 20
 
@@ -66,7 +66,7 @@ def draw_returns(source: Source, hyper: OffPolicyConfig, rng: np.random.Generato
     Raises:
         A2SError: The source refuses, or is gone.
     """
-    drawn = source.sample(hyper.batch_rows, rng, n_step=MOST_STEPS, gamma=hyper.gamma)
+    drawn = source.sample(hyper.batch_rows, rng, n_step=MAX_STEPS, gamma=hyper.gamma)
     return torch.from_numpy(drawn.reward)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from a2s.protocol.errors import RunDirectoryError, UsageError
-from a2s.protocol.messages import MOST_METRICS
+from a2s.protocol.fields import MAX_METRICS
 
 EPISODE_COLUMNS = (
     "wall_s",
@@ -148,7 +148,7 @@ class RunDirectory:
         """
         added = [name for name in metrics if name not in self._metric_names]
         if added:
-            self._add_columns(added[: MOST_METRICS - len(self._metric_names)])
+            self._add_columns(added[: MAX_METRICS - len(self._metric_names)])
         values = [row[name] for name in EPISODE_COLUMNS[1:]]
         told = [f"{metrics[n]:.9g}" if n in metrics else "" for n in self._metric_names]
         with _writing(self._episodes.name):

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from a2s.protocol.messages import MOST_METRICS
+from a2s.protocol.fields import MAX_METRICS
 
 _WINDOW = 100
 _RECENT = 10
@@ -35,7 +35,7 @@ class EpisodeRecord:
         self.returns.append(episode_return)
         self.lengths.append(length)
         for name, value in metrics.items():
-            if name not in self.metrics and len(self.metrics) < MOST_METRICS:
+            if name not in self.metrics and len(self.metrics) < MAX_METRICS:
                 self.metrics[name] = deque(maxlen=_WINDOW)
             if name in self.metrics:
                 self.metrics[name].append(value)

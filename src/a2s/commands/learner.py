@@ -28,7 +28,7 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.replay_messages import MOST_SAMPLED, MOST_STEPS, ReplayInfo
+from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464
@@ -177,7 +177,7 @@ def learn_from(
 
 
 def _require_askable(hyper: OffPolicyConfig) -> None:
-    for name, most in {"n_step": MOST_STEPS, "batch_rows": MOST_SAMPLED}.items():
+    for name, most in {"n_step": MAX_STEPS, "batch_rows": MAX_SAMPLED}.items():
         if (found := getattr(hyper, name)) > most:
             raise UsageError(
                 f"{name}: found {found}, expected at most {most} from a replay over the network; "

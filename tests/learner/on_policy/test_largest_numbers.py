@@ -13,16 +13,16 @@ from a2s.learner.run.config import off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Learning
 from a2s.protocol.fields import Array, Spaces
-from a2s.protocol.messages import MOST_PLAYED, MOST_SUGGESTED, Segment
+from a2s.protocol.messages import MAX_PLAYED, MAX_SUGGESTED, Segment
 
 SPACES = Spaces(obs_size=3, action_low=-np.ones(2, np.float32), action_high=np.ones(2, np.float32))
 STEPS = 16
 LARGEST = {
-    "obs": MOST_PLAYED,
-    "final_obs": MOST_PLAYED,
-    "reward": MOST_PLAYED,
-    "suggestion": MOST_SUGGESTED,
-    "log_prob": MOST_SUGGESTED,
+    "obs": MAX_PLAYED,
+    "final_obs": MAX_PLAYED,
+    "reward": MAX_PLAYED,
+    "suggestion": MAX_SUGGESTED,
+    "log_prob": MAX_SUGGESTED,
 }
 
 
