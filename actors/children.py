@@ -10,6 +10,7 @@ import contextlib
 import json
 import logging
 import os
+import queue
 import selectors
 import signal
 import subprocess
@@ -23,12 +24,14 @@ from typing import Any
 from a2s.actors.activity import Activity, Doing, share
 from a2s.actors.families import FAMILY, end_family, inherit_orphans, start_guard
 from a2s.actors.words import Lines, Words
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
 
 logger = logging.getLogger(__name__)
 
 _CHUNK = 1 << 16
 _LOOK_EVERY_S = 0.1
+_POLL_S = 0.02
 _LAST_WORDS_S = 1.0
 _SLOW_S = 10.0
 _STOP_S = 12.0
@@ -99,7 +102,7 @@ class Child:
         return self._code
 
     def doing(self) -> Doing | None:
-        """Tell which call into an environment it is in."""
+        """Give the call into an environment that it is in."""
         return self._activity.now()
 
     def kill(self) -> int:
@@ -121,7 +124,6 @@ class Child:
         """Let it stop; after ``timeout_s`` seconds, and what one ``close`` may take, end it."""
         self.release()
         deadline_s = time.monotonic() + timeout_s
-        pause = threading.Event()
         while self.ended() is None:
             doing = self.doing()
             if doing is not None and doing.call == "close" and doing.since_s < _SLOW_S:
@@ -131,7 +133,7 @@ class Child:
                 logger.warning("environment %s: %s; its process is killed", env_id, what)
                 self.kill()
                 return
-            pause.wait(0.02)
+            time.sleep(_POLL_S)
 
     def _bury(self) -> None:
         # Until it is waited for, no other process can have its number.
@@ -204,12 +206,12 @@ class Watch:
 
 def ask_child(
     module: str,
-    task: Mapping[str, Any],
-    watch: Watch,
+    config: EnvConfig,
     on_words: Callable[[str], None],
-    proceed: Callable[[], bool],
+    proceed: Callable[[], bool] = lambda: True,
+    **task: Any,
 ) -> Report:
-    """Run a child that answers once, and end it.
+    """Run a child that answers once about an environment, and end it.
 
     Returns:
         What it reported under ``result``; empty once ``proceed``, asked again and again, is false.
@@ -218,31 +220,28 @@ def ask_child(
         UsageError: The child said so.
         FaultyEnvironmentError: The child said so, died, or was held up in a call.
     """
-    reports: list[Report] = []
-    answered = threading.Event()
-
-    def on_report(report: Report) -> None:
-        reports.append(report)
-        answered.set()
-
-    child = Child(module, task, on_report, on_words)
+    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+    watch = Watch(config.env_id, config.timeout_s, on_words)
+    child = Child(module, {"env": config.to_json(), **task}, reports.put, on_words)
     held_up = ""
     try:
-        while not answered.wait(_LOOK_EVERY_S) and child.ended() is None and not held_up:
+        while reports.empty() and child.ended() is None and not held_up:
             held_up = watch.overdue(child.doing())
             if not proceed():
                 return {}
+            time.sleep(_POLL_S)
         if not held_up:
-            child.stop(watch.env_id, _CLOSE_S)
+            child.stop(config.env_id, _CLOSE_S)
     finally:
         last, code = child.doing(), child.kill()
     if held_up:
         raise FaultyEnvironmentError(held_up)
-    if not reports:
-        raise FaultyEnvironmentError(death_of(watch.env_id, code, last))
-    if "error" in reports[0]:
-        raise _error_of(reports[0]["error"])
-    return dict(reports[0]["result"])
+    if reports.empty():
+        raise FaultyEnvironmentError(death_of(config.env_id, code, last))
+    report = reports.get()
+    if "error" in report:
+        raise _error_of(report["error"])
+    return dict(report["result"])
 
 
 def death_of(env_id: str, code: int, doing: Doing | None) -> str:

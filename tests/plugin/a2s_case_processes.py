@@ -6,6 +6,7 @@ They print, start helpers that live on, hang, want to be alone, and cannot be cl
 import argparse
 import ctypes
 import fcntl
+import logging.config
 import multiprocessing
 import os
 import subprocess
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 from a2s_case_envs import Control, Obs, Step, register
 
 AGES_S = 600.0  # longer than any test waits
@@ -282,6 +284,36 @@ SPOILED: dict[str, Callable[[], object]] = {
 }
 
 
+class SilencesLogs(Control):
+    """Configures ``logging`` as if the process were its own, and fails in close."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        logging.config.dictConfig({"version": 1})  # disables all loggers there are
+        logging.basicConfig(handlers=[], level=logging.CRITICAL, force=True)
+        logging.disable(logging.CRITICAL)
+
+    def close(self) -> None:
+        """Fail."""
+        raise RuntimeError("there is nothing to close")
+
+
+class Daemons(Control):
+    """Starts processes that end at once, and whose parents have ended before them.
+
+    It prints how many of them are zombies a while later.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        for _ in range(3):
+            code = "import os; os.setsid(); os.fork() and os._exit(0); os._exit(0)"
+            subprocess.run([sys.executable, "-c", code], check=True)
+        time.sleep(2.5)
+        children = psutil.Process().children()
+        print(f"{sum(c.status() == psutil.STATUS_ZOMBIE for c in children)} zombies")  # noqa: T201
+
+
 class Forks(Control):
     """Copies its process in the constructor and in steps; a copy ends by an exception."""
 
@@ -330,6 +362,8 @@ class Flood(Control):
 
 
 register("Spoils", Spoils)
+register("SilencesLogs", SilencesLogs)
+register("Daemons", Daemons)
 register("Forks", Forks)
 register("ReadsArguments", ReadsArguments)
 register("SlowResets", SlowResets)
