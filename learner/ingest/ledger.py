@@ -12,7 +12,7 @@ from pathlib import Path
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Verdict
 
-_LONGEST_LEAP = 10_000
+_MAX_LEAP = 10_000
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
 
@@ -29,12 +29,12 @@ class Accounts:
         lost: Numbered between others but never received.
     """
 
-    sent: int
-    accepted: int
-    duplicate: int
-    stale: int
-    refused: int
-    lost: int
+    sent: int = 0
+    accepted: int = 0
+    duplicate: int = 0
+    stale: int = 0
+    refused: int = 0
+    lost: int = 0
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class _Sender:
         return self.first <= seq < self.next_seq and seq not in self.missing
 
     def leaps(self, seq: int) -> bool:
-        return not self.first - _LONGEST_LEAP <= seq < self.next_seq + _LONGEST_LEAP
+        return not self.first - _MAX_LEAP <= seq < self.next_seq + _MAX_LEAP
 
     def add(self, seq: int) -> None:
         self.missing.discard(seq)

@@ -141,18 +141,17 @@ class RunDirectory:
             csv.writer(file).writerow(columns)
         return file
 
-    def episode(self, metrics: Mapping[str, float], **row: object) -> None:
-        """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first.
+    def episode(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
+        """Append to ``episodes.csv``: the values of `EPISODE_COLUMNS` but for the first.
 
         What environments tell has columns after these, each from the first episode that has it.
         """
         added = [name for name in metrics if name not in self._metric_names]
         if added:
             self._add_columns(added[: MOST_METRICS - len(self._metric_names)])
-        values = [row[name] for name in EPISODE_COLUMNS[1:]]
         told = [f"{metrics[n]:.9g}" if n in metrics else "" for n in self._metric_names]
         with _writing(self._episodes.name):
-            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values, *told])
+            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *row, *told])
 
     def _add_columns(self, names: list[str]) -> None:
         """Write the table anew with more columns, empty so far."""

@@ -13,7 +13,7 @@ import pytest
 
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.metadata import policy_metadata
-from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.own_replay import OwnReplay
 from a2s.learner.run.config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
@@ -112,7 +112,7 @@ def test_the_largest_numbers_are_those_of_the_code() -> None:
     """An actor drops what is larger."""
     found = re.findall(r" from -(\S+) to (\S+\d)", section("Segment").split("|")[0])
     assert [(float(low), float(high)) for low, high in found] == [
-        (most, most) for most in (MOST_PLAYED, MOST_SUGGESTED, OffPolicyLearning.most_suggested)
+        (most, most) for most in (MOST_PLAYED, MOST_SUGGESTED, OwnReplay.max_suggestion)
     ]
 
 
