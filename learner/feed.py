@@ -57,9 +57,12 @@ class Feed:
     def open(self, status: Callable[[], RunStatus]) -> None:
         """Begin; who asks for the status is given it."""
 
-    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> int:
-        """Give out the present networks under the next version, and return what it is called."""
-        return version
+    def next_version(self, version: int) -> int:
+        """What the weights after a version are called."""
+        return version + 1
+
+    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
+        """Give the present networks to the actors under this version."""
 
     def announce_recovery(self, event: RecoveryEvent) -> None:
         """Tell everybody who listens that the learner went back."""

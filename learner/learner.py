@@ -145,10 +145,10 @@ class Learner:
     def _publish(self) -> None:
         """Give the networks to the actors while there is something to play."""
         status = self._status
-        version = status.version + 1
+        version = self._feed.next_version(status.version)
         if not status.is_finished:
             with self._metrics.update_seconds.labels(phase="publish").time():
-                version = self._feed.publish(self._graph, version, status.num_recoveries)
+                self._feed.publish(self._graph, version, status.num_recoveries)
         status.version, status.is_ahead = version, False
         self._metrics.published.inc()
         self._metrics.weights_version.set(version)
@@ -201,4 +201,4 @@ class Learner:
         attendance = self._feed.attendance()
         self._metrics.actors.set(len(attendance.members))
         self._metrics.queue.set(attendance.pending_steps)
-        self._view.show(self._status.progress(attendance.members, kl))
+        self._view.show(self._status, attendance.members, kl)

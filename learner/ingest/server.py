@@ -62,7 +62,7 @@ class Server(Feed):
         bus.watch_presence(keys.live_actor(), self._on_presence)
         bus.declare_presence(keys.live_learner)
 
-    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> int:
+    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
         """Announce weights with what is to be played by them, and keep them for who pulls."""
         graph = make_graph(version)
         quota = self._store.quota(self._ingest.num_envs)
@@ -81,7 +81,6 @@ class Server(Feed):
             self._newest = newest
         self._bus.publish(self._keys.notice, newest[0])
         self._metrics.weights_bytes.set(len(graph))
-        return version
 
     def announce_recovery(self, event: RecoveryEvent) -> None:
         """Tell everybody who listens that the learner went back."""

@@ -1,4 +1,4 @@
-"""What a run has reached, and the three ways of saying it: progress, status message, summary."""
+"""What a run has reached."""
 
 import hashlib
 import math
@@ -11,7 +11,6 @@ from a2s.learner.feed import Attendance
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.config import RunConfig
 from a2s.learner.run.episode_stats import EpisodeStats
-from a2s.learner.run.progress import Progress
 from a2s.protocol.messages import RunStatus
 
 
@@ -75,25 +74,6 @@ class Status:
         """Steps per second since this learner started."""
         seconds = max(time.monotonic() - self.began_s, 1e-9)
         return (self.env_steps - self.steps_at_start) / seconds
-
-    def progress(self, members: Sequence[Member], kl: float | None) -> Progress:
-        """For the terminal; ``kl`` is that of the latest update."""
-        return Progress(
-            env_steps=self.env_steps,
-            total_steps=self.run.total_steps,
-            episodes=self.episodes.count,
-            return_mean=self.episodes.mean_return,
-            return_best=self.episodes.best,
-            updates=self.updates,
-            weights_version=self.version,
-            recoveries=self.num_recoveries,
-            actors=len(members),
-            num_envs=sum(member.num_envs for member in members),
-            waiting_for=self.waiting_for,
-            wall_s=self.wall_s,
-            kl=kl,
-            info=self.episodes.mean_metrics,
-        )
 
     def message(self, members: Sequence[Member]) -> RunStatus:
         """For whoever asks over the network."""
