@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +14,6 @@ from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.server import Server
-from a2s.learner.ingest.store import Store
 from a2s.learner.learner import POSITION, Learner
 from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.off_policy.update import OffPolicy
@@ -56,10 +54,10 @@ def make_learner(
         configuration: Of the run.
         spaces: Of its environment.
         layout: Names and sizes of the parts of an observation, in the order of its numbers.
-        bus: A connection on which actors find it.
+        bus: A connection on which actors find it; closed at the end.
         path: Directory of the run.
-        metrics: What it shows.
-        view: Where its progress is shown.
+        metrics: Of this process.
+        view: Where progress is shown.
         resume: Go on from the newest checkpoint in ``path``.
 
     Raises:
@@ -90,8 +88,9 @@ def make_learner(
 
     def connect(status: Status, on_event: Callable[..., None]) -> Feed:
         keys, generation = Keys(run.run), status.generation
-        admission = _admission(run, spaces, generation, store)
-        ingest = Ingest(admission, clock_of(run.clock), ledger, metrics, on_event, store)
+        lag, suggestion = store.max_policy_lag, store.max_suggestion
+        admission = Admission(run, spaces, generation, lag, suggestion)
+        ingest = Ingest(admission, ledger, metrics, on_event, store)
         if isinstance(store, OwnReplay):
             ServedReplay(bus, keys, store.replay, generation).open()
         return Server(bus, keys, generation, ingest, store, metrics)
@@ -115,16 +114,7 @@ def make_replay_learner(
 ) -> Learner:
     """Make a learner without actors, which learns off-policy from another run's replay.
 
-    Args:
-        configuration: Of this run; its variant is off-policy.
-        spaces: Of the environment of the replay.
-        replay: Where to draw.
-        size: Asks how many transitions it holds now.
-        max_size: How many it comes to hold at most: its capacity, or what is stored.
-        path: Directory of this run.
-        metrics: Where updates are shown.
-        view: Where its progress is shown.
-        resume: Go on from the newest checkpoint in ``path``.
+    The arguments are those of `make_learner` and `OtherReplay`.
 
     Raises:
         UsageError: The replay never holds as much as a batch.
@@ -215,23 +205,7 @@ def _assemble(
     )
 
 
-def _admission(run: RunConfig, spaces: Spaces, generation: int, store: Store) -> Admission:
-    return Admission(
-        run=run.run,
-        generation=generation,
-        env_id=run.env,
-        spaces=spaces,
-        num_envs=run.envs,
-        clock=run.clock,
-        max_policy_lag=store.max_policy_lag,
-        max_suggestion=store.max_suggestion,
-        seed=run.seed,
-        num_actors=run.n,
-        env=run.env_config(),
-    )
-
-
-def _of_trainer(saved: tuple[Any, dict[str, Any]] | None) -> Saved | None:
+def _of_trainer(saved: Saved | None) -> Saved | None:
     return None if saved is None else (saved[0], saved[1]["algorithm"])
 
 

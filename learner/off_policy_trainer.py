@@ -15,6 +15,8 @@ from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
 from a2s.learner.replay import transitions as stored
+from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.replay import Replay
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Outcome, Saved
 from a2s.protocol.errors import A2SError
@@ -25,25 +27,7 @@ _RETURNS_EVERY_UPDATES = 20
 SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
 
 
-class AnyReplay(Protocol):
-    """A replay to draw from: one's own, the files of another run, or what its learner serves."""
-
-    def sample(
-        self,
-        batch_size: int,
-        rng: np.random.Generator,
-        *,
-        n_step: int = 1,
-        gamma: float = 0.99,
-        prioritised: bool = False,
-        beta: float = 0.4,
-    ) -> stored.Transitions:
-        """Draw transitions.
-
-        Raises:
-            A2SError: The replay is empty, or its learner refuses or is gone.
-        """
-        ...
+AnyReplay = Replay | RemoteReplay
 
 
 def draw_batch(
@@ -68,8 +52,6 @@ def draw_returns(replay: AnyReplay, hyper: OffPolicyHyper, rng: np.random.Genera
 class Source(Protocol):
     """Where batches come from: the run's own replay, or another run's.
 
-    ``updates`` is always the number of those made so far.
-
     Attributes:
         columns: Of ``updates.csv``, its own ones.
     """
@@ -81,15 +63,15 @@ class Source(Protocol):
         ...
 
     def may_update(self, updates: int, made: int) -> bool:
-        """Whether another update belongs to this round, after ``made`` of them."""
+        """Whether the next of all updates belongs to this round, after ``made`` of them."""
         ...
 
     def draw_returns(self, updates: int) -> Array:
-        """Draw discounted returns, float32 ``[B]``."""
+        """Draw discounted returns before the next update, float32 ``[B]``."""
         ...
 
     def draw(self, updates: int) -> stored.Transitions:
-        """Draw the batch of an update."""
+        """Draw the batch of the next update."""
         ...
 
     def learned(self, row: stored.Rows, error: Tensor) -> None:
@@ -97,12 +79,7 @@ class Source(Protocol):
         ...
 
     def end_round(self, made: int, update_s: float) -> Mapping[str, object]:
-        """Show where sampling stands; the values of `columns`.
-
-        Args:
-            made: Updates of the round.
-            update_s: Seconds of the fastest of them; infinite if there was none.
-        """
+        """Show and return the values of `columns`; the fastest update took ``update_s``."""
         ...
 
     def state(self) -> dict[str, object]:

@@ -34,7 +34,7 @@ class OwnReplay:
         env_id: Environment.
         spaces: Its spaces.
         hyper: Hyperparameters.
-        seed: Of the run.
+        seed: Of the draws.
         ledger: Knows which segments were acknowledged.
         metrics: Where its state is shown.
         saved: A `state` to go on from; rows inserted since then belong to the next batch.
@@ -74,18 +74,14 @@ class OwnReplay:
         )
         self._quota_steps = hyper.send_every_steps
         self._update_s = 0.01
-        self._shown_waits = {"insert": 0, "sample": 0}
-        self._num_learned = 0  # rows, from the first ever inserted
-        self.replay = _open(
-            path, env_id, spaces, hyper, ledger, saved["learned_from"] if saved else 0
-        )
+        self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
+        self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned)
         self._limiter.count_insert(self.replay.live.stop)
         if saved is not None:
-            self._num_learned = saved["learned_from"]
             self._limiter.load(saved["limiter"], self.replay.live.stop)
             self.replay.highest_priority = saved["highest_priority"]
-            self._shown_waits = self._waits()
             self._rng.bit_generator.state = saved["rng"]
+        self._shown_waits = self._waits()  # by this process
         self.close_batch()
         torn = self.replay.torn_records
         metrics.replay_torn.inc(torn)

@@ -48,12 +48,9 @@ class Trainer(Protocol):
         ...
 
     def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
-        """The present way of acting as ONNX bytes.
+        """The present way of acting as ONNX bytes, at a fraction of the run.
 
-        Args:
-            version: Its ``weights_version``.
-            progress: Fraction of the run that is done.
-            averaged: For use after the run: steadier than what actors are to play, if it can be.
+        Where it can, the ``averaged`` one is steadier than what actors are to play.
         """
         ...
 

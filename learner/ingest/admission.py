@@ -4,61 +4,54 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from a2s.protocol.env_config import EnvConfig
+from a2s.learner.run.config import RunConfig
 from a2s.protocol.fields import Spaces
-from a2s.protocol.messages import Clock, Hello, Notice, Segment, Welcome
+from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Admission:
     """Judges hellos and segments.
 
     Attributes:
+        run: Options of the run.
+        spaces: Of its environment.
         generation: Which start of the learner this is.
-        num_envs: Environments of an actor that was not told otherwise.
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
         max_suggestion: Largest absolute value in a suggestion.
-        seed: Of the run.
-        num_actors: Actors that the first batch waits for.
-        env: How the environment is made; ``None``: with its id alone.
     """
 
-    run: str
-    generation: int
-    env_id: str
+    run: RunConfig
     spaces: Spaces
-    num_envs: int
-    clock: Clock
+    generation: int
     max_policy_lag: int | None
     max_suggestion: float
-    seed: int
-    num_actors: int
-    env: EnvConfig | None = None
 
     @property
     def seed_before_joining(self) -> int:
         """Seed of what is random while environments are made: the same for all actors."""
-        return int(np.random.SeedSequence((self.seed, self.generation)).generate_state(1)[0])
+        return int(np.random.SeedSequence((self.run.seed, self.generation)).generate_state(1)[0])
 
     def welcome(self, slot: int, seed: int) -> Welcome:
         """Answer a hello; ``slot`` is -1 for an actor that has only asked."""
+        run = self.run
         return Welcome(
-            run=self.run,
+            run=run.run,
             generation=self.generation,
-            env_id=self.env_id,
+            env_id=run.env,
             spaces=self.spaces,
-            num_envs=self.num_envs,
-            clock=self.clock,
+            num_envs=run.envs,
+            clock=run.clock,
             slot=slot,
             seed=seed,
-            env=self.env,
+            env=run.env_config(),
         )
 
     def difference(self, hello: Hello) -> str:
         """How the environment of a hello with spaces differs, or ``""``."""
         assert hello.spaces is not None
-        if hello.env_id != self.env_id:
-            return f"environment: found {hello.env_id}, expected {self.env_id}"
+        if hello.env_id != self.run.env:
+            return f"environment: found {hello.env_id}, expected {self.run.env}"
         difference = self.spaces.differs_from(hello.spaces)
         return f"environment {hello.env_id}: found {difference}" if difference else ""
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from a2s.learner.feed import Arrival, Attendance
 from a2s.learner.ingest.admission import Admission
-from a2s.learner.ingest.clock import Clock, Round
+from a2s.learner.ingest.clock import Round, clock_of
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.members import SILENT_S, Member, Members
 from a2s.learner.ingest.store import Store
@@ -39,7 +39,6 @@ class Ingest:
 
     Args:
         admission: What is accepted.
-        clock: When a batch is complete.
         ledger: Where answers are written down.
         metrics: Where they are counted.
         on_event: Told joins, leaves and refusals, with the lock held.
@@ -50,16 +49,15 @@ class Ingest:
     def __init__(
         self,
         admission: Admission,
-        clock: Clock,
         ledger: Ledger,
         metrics: LearnerMetrics,
         on_event: Callable[..., None],
         store: Store,
     ) -> None:
-        self._admission, self._clock = admission, clock
+        self._admission, self._clock = admission, clock_of(admission.run.clock)
         self._ledger, self._metrics, self._on_event = ledger, metrics, on_event
         self._store = store
-        self._members = Members(admission.seed, admission.generation)
+        self._members = Members(admission.run.seed, admission.generation)
         self._changed = threading.Condition()
         self._round: Round | None = None
         self._has_begun = False
@@ -188,8 +186,8 @@ class Ingest:
     def num_envs(self) -> int:
         """Environments of all actors present, or of those that are expected first."""
         with self._changed:
-            admission = self._admission
-            expected = 0 if self._has_begun else admission.num_actors * admission.num_envs
+            run = self._admission.run
+            expected = 0 if self._has_begun else run.n * run.envs
             return max(1, expected, self._members.num_envs)
 
     def attendance(self) -> Attendance:
@@ -207,7 +205,7 @@ class Ingest:
         self._ledger.close()
 
     def _welcome(self, hello: Hello, slot: int) -> None:
-        self._has_begun |= len(self._members.present) >= self._admission.num_actors
+        self._has_begun |= len(self._members.present) >= self._admission.run.n
         self._metrics.joins.inc()
         self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
         if hello.cause:
@@ -281,8 +279,8 @@ class Ingest:
             return "the first weights"
         now_s, present = time.monotonic(), self._members.present
         if not self._has_begun:
-            more = self._admission.num_actors - len(present)
-            return f"{more} more of {self._admission.num_actors} actors: {self._coming(now_s)}"
+            wanted = self._admission.run.n
+            return f"{wanted - len(present)} more of {wanted} actors: {self._coming(now_s)}"
         if self._clock.is_filled(self._round):
             return ""
         heard = [member for member in present if now_s - member.heard_s < SILENT_S]

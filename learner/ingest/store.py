@@ -6,13 +6,7 @@ from a2s.protocol.messages import Segment
 
 
 class Quota(NamedTuple):
-    """What is played with one version of the weights.
-
-    Attributes:
-        batch_steps: Environment steps of the next batch.
-        steps: Share of every environment, steps.
-        episodes: Share of every environment, whole episodes.
-    """
+    """Steps of a batch, and the share of every environment: steps and whole episodes."""
 
     batch_steps: int
     steps: int
@@ -47,9 +41,5 @@ class Store(Protocol):
         ...
 
     def hold_s(self, num_batches: float) -> float:
-        """Seconds that actors should wait because learning is behind.
-
-        Args:
-            num_batches: Batches that wait to be learned from.
-        """
+        """Seconds that actors should wait because learning is behind by so many batches."""
         ...

@@ -11,10 +11,10 @@ import pytest
 
 from a2s.learner.feed import Arrival
 from a2s.learner.ingest.admission import Admission
-from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
+from a2s.learner.run.config import RunConfig
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
@@ -35,19 +35,13 @@ class _Run:
     max_policy_lag: int | None = None
     max_suggestion = 1.0
 
-    def __init__(self, path: Path, **terms: object) -> None:
-        values: dict[str, object] = {
-            "run": "test", "generation": 2, "env_id": "Test-v0", "spaces": SPACES, "num_envs": 2,
-            "clock": "lockstep", "max_policy_lag": 1, "max_suggestion": 1.001,
-            "seed": 0, "num_actors": 1,
-        }  # fmt: skip
+    def __init__(self, path: Path, *, max_policy_lag: int | None = 1, **options: Any) -> None:
         self.events: list[tuple[str, dict[str, object]]] = []
         self.metrics = LearnerMetrics()
         self.ledger = Ledger(path / "segments.log")
-        admission = Admission(**{**values, **terms})  # type: ignore[arg-type]
+        run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
         self.ingest = Ingest(
-            admission,
-            clock_of(admission.clock),
+            Admission(run, SPACES, 2, max_policy_lag, 1.001),
             self.ledger,
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
@@ -368,7 +362,7 @@ def test_the_first_batch_waits_for_all_actors_that_are_expected(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     """Later ones do not: two actors with two environments each are expected, one plays on."""
-    run = _Run(tmp_path, num_actors=2)
+    run = _Run(tmp_path, n=2)
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
     assert run.ingest.num_envs == 4
     run.join("a")
