@@ -63,8 +63,6 @@ class Ingest:
         self._has_begun = False
         self._failure: RunDirectoryError | None = None
 
-    # What the bus calls.
-
     def hello(self, hello: Hello) -> Welcome | Refusal:
         """Answer a hello; one with spaces joins."""
         admission = self._admission
@@ -142,8 +140,6 @@ class Ingest:
         """An actor's connection has ended."""
         with self._changed:
             self._leave(actor, "lost")
-
-    # What the learner's loop calls.
 
     def begin(self, notice: Notice, batch_steps: int) -> None:
         """New weights are out: count their quota from here, and forget what is now stale."""

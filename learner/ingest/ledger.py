@@ -22,10 +22,7 @@ class Accounts:
 
     Attributes:
         sent: Segments that actors have numbered, from the first to the last number seen of each.
-        accepted: Taken to be learned from.
         duplicate: Answers to segments that had been answered before; part of no sum.
-        stale: Too old to learn from.
-        refused: Unusable.
         lost: Numbered between others but never received.
     """
 
@@ -83,21 +80,17 @@ class Ledger:
 
     def has(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts a duplicate if so."""
-        sender = self._senders.get(actor)
-        if sender is None or not sender.has(seq):
-            return False
-        self._duplicates += 1
-        return True
+        is_known = self.knows(actor, seq)
+        self._duplicates += is_known
+        return is_known
 
     def knows(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts nothing."""
-        sender = self._senders.get(actor)
-        return sender is not None and sender.has(seq)
+        return actor in self._senders and self._senders[actor].has(seq)
 
     def leaps(self, actor: str, seq: int) -> bool:
         """Whether a number is so far from those seen that it cannot be the actor's next."""
-        sender = self._senders.get(actor)
-        return sender is not None and sender.leaps(seq)
+        return actor in self._senders and self._senders[actor].leaps(seq)
 
     def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         """Write an answer down; it survives the death of this process when this returns.
@@ -117,7 +110,7 @@ class Ledger:
         self._count(actor, seq, verdict, steps)
 
     def accounts(self) -> Accounts:
-        """Add everything up."""
+        """Add up all answers."""
         return Accounts(
             sent=sum(s.next_seq - s.first for s in self._senders.values()),
             lost=sum(len(sender.missing) for sender in self._senders.values()),

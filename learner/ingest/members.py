@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 @dataclass(slots=True)
-class Delivered:
+class _Delivered:
     """What one environment has delivered with the newest weights."""
 
     steps: int = 0
@@ -48,7 +48,7 @@ class Member:
     done_s: float = 0.0
     status: ActorStatus | None = None
     said: tuple[str, int] = ("", 0)
-    _delivered: list[Delivered] = field(default_factory=list)
+    _delivered: list[_Delivered] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Begin with nothing delivered."""
@@ -56,7 +56,7 @@ class Member:
 
     def begin(self) -> None:
         """Forget what was delivered: new weights are out."""
-        self._delivered = [Delivered() for _ in range(self.num_envs)]
+        self._delivered = [_Delivered() for _ in range(self.num_envs)]
 
     def deliver(self, segment: Segment) -> None:
         """Count a segment that was made with the newest weights."""

@@ -52,7 +52,7 @@ def _writing(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep other learners out of a directory as long as the block, or this process, lasts.
+    """Keep other learners out of a directory while the block lasts.
 
     Raises:
         RunDirectoryError: Another one is at work there, or the directory cannot be made.
@@ -78,15 +78,9 @@ def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
 def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     """Decide where a run is kept.
 
-    Args:
-        root: Where runs are kept, for example ``runs``.
-        run: Name of the run.
-        run_dir: The directory, when the user names one.
-        resume: Whether an existing one is to be continued.
-
     Returns:
-        ``run_dir``, or the newest ``root/run*`` to resume, or the first that is free of
-        ``root/run``, ``root/run-2``, ``root/run-3``...
+        ``run_dir`` if the user names one; else the newest ``root/run*`` to resume, or the first
+        that is free of ``root/run``, ``root/run-2``, ``root/run-3``...
 
     Raises:
         UsageError: There is nothing to resume, or the named directory is in use.
@@ -111,11 +105,11 @@ class RunDirectory:
 
     Args:
         path: The directory; made when it is not there.
-        update_columns: Columns of ``updates.csv``; one that is there keeps its own.
+        update_columns: Of ``updates.csv``; a table that is there keeps its own.
         clock: Seconds since the run began, those before a resume included.
 
     Raises:
-        RunDirectoryError: It cannot be written, or its number of starts is none.
+        RunDirectoryError: It cannot be written, or ``generation`` is not an integer.
     """
 
     def __init__(
@@ -243,11 +237,10 @@ def _short(value: object) -> object:
 
 
 def column_of(metric: str) -> str:
-    """Name the column of what an environment tells; ours have their names already."""
+    """Name the column of what an environment tells, other than ours."""
     return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
 
 
 def _header(table: Path) -> list[str]:
-    """Read which columns a table has."""
     with table.open(newline="") as file:
         return next(csv.reader(file), [])
