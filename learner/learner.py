@@ -5,53 +5,73 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from a2s.learner.feed import Arrival, Feed
+from a2s.learner.ingest.clock import clock_of
+from a2s.learner.run.config import RunConfig
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
 from a2s.learner.run.saver import Saver
-from a2s.learner.run.status import Status
-from a2s.learner.trainer import Outcome, Trainer
+from a2s.learner.run.status import POSITION, Status
+from a2s.learner.trainer import Outcome, Saved, Trainer
 from a2s.protocol.errors import UnreachableError
+from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import RecoveryEvent
-
-POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
 
 
 class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
     Args:
-        status: What the run has reached.
-        feed: Where its steps come from.
-        trainer: Learns from them.
-        overlaps: The next batch is played while this one is learned from.
-        saver: Keeps policies and checkpoints.
-        episodes: Keeps finished episodes.
-        directory: Of the run; closed at the end, as are feed and trainer.
+        run: Options of the run.
+        trainer: Learns; closed at the end.
+        connect: Makes the feed of a generation, which is told where events go.
+        env_steps: Steps that earlier starts took.
+        path: Directory of the run.
+        kind: Of the run, in words; it cannot go on from checkpoints of another kind.
+        spaces: Of the environment.
+        saved: A checkpoint to go on from.
         metrics: What it shows.
-        view: Where its progress is shown.
+        view: Where progress is shown.
+
+    Raises:
+        RunDirectoryError: ``path`` cannot be written, or is not as it was left.
     """
 
     def __init__(
         self,
         *,
-        status: Status,
-        feed: Feed,
+        run: RunConfig,
         trainer: Trainer,
-        overlaps: bool,
-        saver: Saver,
-        episodes: EpisodeLog,
-        directory: RunDirectory,
+        connect: Callable[[int, Callable[..., None]], Feed],
+        env_steps: int,
+        path: Path,
+        kind: str,
+        spaces: Spaces,
+        saved: Saved | None,
         metrics: LearnerMetrics,
         view: View,
     ) -> None:
-        self._status, self._feed, self._trainer, self._overlaps = status, feed, trainer, overlaps
-        self._saver, self._episodes, self._directory = saver, episodes, directory
-        self._metrics, self._view = metrics, view
+        self._trainer, self._metrics, self._view = trainer, metrics, view
+        self._status = status = Status(run)
+        columns = (*POSITION, *trainer.columns)
+        self._directory = directory = RunDirectory(path, columns, lambda: status.wall_s)
+        self._saver = Saver(trainer, status, directory, metrics, kind, spaces.obs_offset)
+        if saved is None:
+            self._saver.save()
+        else:
+            self._saver.go_on(saved[1])
+        names = run.env_config().metric_names
+        self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
+        status.generation = directory.count_start()
+        status.env_steps = status.steps_at_start = env_steps
+        self._feed = connect(status.generation, directory.event)
+        self._overlaps = trainer.overlaps_learning and clock_of(run.clock).waits_for_weights
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Learn until ``total_steps``, or until stopped.
@@ -148,24 +168,18 @@ class Learner:
         version = self._feed.next_version(status.version)
         if not status.is_finished:
             with self._metrics.update_seconds.labels(phase="publish").time():
-                self._feed.publish(self._graph, version, status.num_recoveries)
+                graph = partial(self._trainer.graph, progress=status.fraction)
+                self._feed.publish(graph, version, status.num_recoveries)
         status.version, status.is_ahead = version, False
         self._metrics.published.inc()
         self._metrics.weights_version.set(version)
         self._metrics.epoch.set(status.num_recoveries)
 
-    def _graph(self, version: int) -> bytes:
-        return self._trainer.graph(version, self._status.fraction)
-
     def _record(self, outcome: Outcome) -> None:
         """Write a row, and keep what is due to be kept."""
         status, run = self._status, self._status.run
         before, status.updates = status.updates, self._trainer.updates
-        position = (
-            status.updates, round(status.wall_s, 3), status.env_steps, status.version,
-            status.num_recoveries,
-        )  # fmt: skip
-        self._directory.update({**outcome.row, **dict(zip(POSITION, position, strict=True))})
+        self._directory.update({**outcome.row, **status.position()})
         status.rows += 1
         self._metrics.show_episodes(status.episodes)
         self._show(outcome.kl)
@@ -187,13 +201,12 @@ class Learner:
 
     def _finish(self) -> dict[str, Any]:
         self._count(self._feed.stop())
-        self._status.version = self._status.networks_version
-        self._status.is_ahead = False
+        status, path = self._status, self._directory.path
+        status.version, status.is_ahead = status.networks_version, False
         self._saver.try_save()
-        path = self._directory.path
-        summary = self._status.summary(self._feed.attendance(), self._saver.latest)
-        summary = {"run_dir": str(path), **summary}
-        self._directory.event("end", env_steps=self._status.env_steps)
+        reached = status.summary(self._feed.attendance(), self._saver.latest)
+        summary = {"run_dir": str(path), **reached}
+        self._directory.event("end", env_steps=status.env_steps)
         write_summary(path, summary)
         return summary
 

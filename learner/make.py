@@ -2,19 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from a2s.learner.export.metadata import policy_metadata
-from a2s.learner.feed import Feed
 from a2s.learner.ingest.admission import Admission
-from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.server import Server
-from a2s.learner.learner import POSITION, Learner
+from a2s.learner.learner import Learner
 from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.off_policy_trainer import AnyReplay, OffPolicyTrainer
@@ -22,15 +20,11 @@ from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.other_replay import OtherReplay, ReplayFeed
 from a2s.learner.own_replay import OwnReplay
 from a2s.learner.replay.served import ServedReplay
-from a2s.learner.run import checkpoint
+from a2s.learner.run import checkpoint, saver
 from a2s.learner.run.config import Configuration, RunConfig
-from a2s.learner.run.directory import RunDirectory
-from a2s.learner.run.episode_log import EpisodeLog
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
-from a2s.learner.run.saver import Saver
-from a2s.learner.run.status import Status
 from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
@@ -69,34 +63,28 @@ def make_learner(
     kind = f"{run.variant} on {run.env}"
     saved = checkpoint.load(path / "checkpoints", kind=kind) if resume else None
     if saved is not None:
-        offset = saved[1]["obs_offset"]
-        kept = None if offset is None else np.array(offset, dtype=np.float32)
-        spaces = replace(spaces, obs_offset=kept)
-    metadata = policy_metadata(run, spaces, layout)
+        spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
+    metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
     ledger = Ledger(path / "segments.log")
     trainer: Trainer
     store: OwnReplay | OnPolicyTrainer
     if isinstance(hyper, OffPolicyHyper):
         trainer, store = make_off_policy(
-            run, spaces, hyper, path, ledger, metadata, metrics, _of_trainer(saved)
+            run, spaces, hyper, path, ledger, metadata, metrics, learned
         )
     else:
-        trainer = store = OnPolicyTrainer(
-            spaces, hyper, run.seed, metadata, metrics, _of_trainer(saved)
-        )
-    metrics.env_steps.inc(ledger.accepted_steps)
-
-    def connect(status: Status, on_event: Callable[..., None]) -> Feed:
-        keys, generation = Keys(run.run), status.generation
-        lag, suggestion = store.max_policy_lag, store.max_suggestion
-        admission = Admission(run, spaces, generation, lag, suggestion)
-        ingest = Ingest(admission, ledger, metrics, on_event, store)
-        if isinstance(store, OwnReplay):
-            ServedReplay(bus, keys, store.replay, generation).open()
-        return Server(bus, keys, generation, ingest, store, metrics)
-
-    return _assemble(
-        run, trainer, connect, ledger.accepted_steps, path, metrics, view, kind, spaces, saved
+        trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
+    return Learner(
+        run=run,
+        trainer=trainer,
+        connect=partial(_connect, run, spaces, bus, ledger, metrics, store),
+        env_steps=ledger.accepted_steps,
+        path=path,
+        kind=kind,
+        spaces=spaces,
+        saved=saved,
+        metrics=metrics,
+        view=view,
     )
 
 
@@ -130,8 +118,18 @@ def make_replay_learner(
     metadata = policy_metadata(run, spaces)
     trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
     feed = ReplayFeed(source, trainer, hyper.updates_per_step)
-    steps = feed.env_steps(updates)
-    return _assemble(run, trainer, lambda *_: feed, steps, path, metrics, view, kind, spaces, saved)
+    return Learner(
+        run=run,
+        trainer=trainer,
+        connect=lambda *_: feed,
+        env_steps=feed.env_steps(updates),
+        path=path,
+        kind=kind,
+        spaces=spaces,
+        saved=saved,
+        metrics=metrics,
+        view=view,
+    )
 
 
 def make_off_policy(
@@ -170,39 +168,24 @@ def _off_policy(
     return algorithm, saved[1]["updates"]
 
 
-def _assemble(
+def _connect(
     run: RunConfig,
-    trainer: Trainer,
-    connect: Callable[[Status, Callable[..., None]], Feed],
-    env_steps: int,
-    path: Path,
-    metrics: LearnerMetrics,
-    view: View,
-    kind: str,
     spaces: Spaces,
-    saved: Saved | None,
-) -> Learner:
-    """Put together what any learner has, and begin its directory or go on with it."""
-    status = Status(run)
-    directory = RunDirectory(path, (*POSITION, *trainer.columns), lambda: status.wall_s)
-    saver = Saver(trainer, status, directory, metrics, kind, spaces)
-    if saved is None:
-        saver.save()
-    else:
-        saver.go_on(saved[1])
-    status.generation = directory.count_start()
-    status.env_steps = status.steps_at_start = env_steps
-    return Learner(
-        status=status,
-        feed=connect(status, directory.event),
-        trainer=trainer,
-        overlaps=trainer.overlaps_learning and clock_of(run.clock).waits_for_weights,
-        saver=saver,
-        episodes=EpisodeLog(status.episodes, directory, metrics, run.env_config().metric_names),
-        directory=directory,
-        metrics=metrics,
-        view=view,
-    )
+    bus: Bus,
+    ledger: Ledger,
+    metrics: LearnerMetrics,
+    store: OwnReplay | OnPolicyTrainer,
+    generation: int,
+    on_event: Callable[..., None],
+) -> Server:
+    """Make what actors find on the bus; it answers once it is opened."""
+    lag, suggestion = store.max_policy_lag, store.max_suggestion
+    admission = Admission(run, spaces, generation, lag, suggestion)
+    ingest = Ingest(admission, ledger, metrics, on_event, store)
+    keys = Keys(run.run)
+    if isinstance(store, OwnReplay):
+        ServedReplay(bus, keys, store.replay, generation).open()
+    return Server(bus, keys, generation, ingest, store, metrics)
 
 
 def _of_trainer(saved: Saved | None) -> Saved | None:

@@ -62,6 +62,7 @@ class Ingest:
         self._round: Round | None = None
         self._has_begun = False
         self._failure: RunDirectoryError | None = None
+        metrics.env_steps.inc(ledger.accepted_steps)  # of earlier starts
 
     def hello(self, hello: Hello) -> Welcome | Refusal:
         """Answer a hello; one with spaces joins."""

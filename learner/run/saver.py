@@ -3,13 +3,15 @@
 import logging
 from typing import Any
 
+import numpy as np
+
 from a2s.learner.run import checkpoint
 from a2s.learner.run.directory import RunDirectory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.status import Status
 from a2s.learner.trainer import Trainer
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.fields import Spaces
+from a2s.protocol.fields import Array
 
 logger = logging.getLogger(__name__)
 
@@ -23,7 +25,7 @@ class Saver:
         directory: Of the run.
         metrics: Where checkpoints are shown.
         kind: Of the run, in words; another kind cannot go on from its checkpoints.
-        spaces: Of the environment; its offset is saved as well.
+        obs_offset: Of the environment; saved as well.
 
     Attributes:
         latest: The policy that was saved last, as ONNX.
@@ -36,10 +38,10 @@ class Saver:
         directory: RunDirectory,
         metrics: LearnerMetrics,
         kind: str,
-        spaces: Spaces,
+        obs_offset: Array | None,
     ) -> None:
         self._trainer, self._status, self._directory = trainer, status, directory
-        self._metrics, self._kind, self._spaces = metrics, kind, spaces
+        self._metrics, self._kind, self._obs_offset = metrics, kind, obs_offset
         self.latest = b""
 
     def save(self) -> None:
@@ -48,7 +50,7 @@ class Saver:
         Raises:
             RunDirectoryError: They cannot be written.
         """
-        status, offset = self._status, self._spaces.obs_offset
+        status, offset = self._status, self._obs_offset
         self.latest = self.keep_policy("latest")
         tensors, algorithm = self._trainer.state()
         state = {
@@ -98,3 +100,9 @@ class Saver:
             status.episodes.add(episode_return, length, metrics)
             status.worked_s = max(status.worked_s, wall_s)
         self._directory.keep_updates(status.rows)
+
+
+def obs_offset(state: dict[str, Any]) -> Array | None:
+    """That of the environment when a checkpoint was saved; the policy was trained with it."""
+    offset = state["obs_offset"]
+    return None if offset is None else np.array(offset, dtype=np.float32)

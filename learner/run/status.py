@@ -13,6 +13,8 @@ from a2s.learner.run.config import RunConfig
 from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.protocol.messages import RunStatus
 
+POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
+
 
 @dataclass(slots=True)
 class Status:
@@ -74,6 +76,12 @@ class Status:
         """Steps per second since this learner started."""
         seconds = max(time.monotonic() - self.began_s, 1e-9)
         return (self.env_steps - self.steps_at_start) / seconds
+
+    def position(self) -> dict[str, object]:
+        """For a row of ``updates.csv``, by `POSITION`."""
+        wall_s, version = round(self.wall_s, 3), self.version
+        position = self.updates, wall_s, self.env_steps, version, self.num_recoveries
+        return dict(zip(POSITION, position, strict=True))
 
     def message(self, members: Sequence[Member]) -> RunStatus:
         """For whoever asks over the network."""
