@@ -1,4 +1,4 @@
-"""What the episodes of a run amount to, so far."""
+"""What the episodes of a run amount to so far."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -11,11 +11,10 @@ _RECENT = 10
 
 
 @dataclass(slots=True)
-class EpisodeRecord:
+class EpisodeStats:
     """Running statistics over finished episodes.
 
     Attributes:
-        count: Episodes so far.
         best: Greatest return so far.
         returns: Of the last 100 episodes.
         lengths: Of the last 100 episodes, in steps.

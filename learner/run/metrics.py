@@ -1,7 +1,7 @@
 """What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import get_args
 
 from prometheus_client import (
@@ -18,6 +18,7 @@ from prometheus_client import (
 
 from a2s import __version__
 from a2s.learner.on_policy.stats import UpdateStats
+from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import Verdict
@@ -174,17 +175,15 @@ class LearnerMetrics:
         self.temperature.set(row["temperature"])
         self.q_mean.set(row["q_mean"])
 
-    def show_episodes(
-        self, returns: Sequence[float], lengths: Sequence[int], info: Mapping[str, float]
-    ) -> None:
+    def show_episodes(self, episodes: EpisodeStats) -> None:
         """Show the latest episodes."""
-        for name, mean in info.items():
+        for name, mean in episodes.mean_metrics.items():
             self.episode_info.labels(metric=name).set(mean)
-        if returns:
+        if returns := episodes.returns:
             self.return_mean.set(sum(returns) / len(returns))
             self.return_min.set(min(returns))
             self.return_max.set(max(returns))
-            self.length_mean.set(sum(lengths) / len(lengths))
+            self.length_mean.set(sum(episodes.lengths) / len(episodes.lengths))
 
     def serve(self, host: str, port: int) -> tuple[int, Callable[[], None]]:
         """Serve the metrics over HTTP.

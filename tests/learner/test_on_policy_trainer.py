@@ -1,8 +1,8 @@
-"""The on-policy variant behind the learner's loop."""
+"""The on-policy trainer."""
 
 import numpy as np
 
-from a2s.learner.on_policy_trainer import OnPolicyLearning
+from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.run.config import on_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.fields import Spaces
@@ -15,6 +15,6 @@ SPACES = Spaces(
 
 
 def test_actors_wait_while_a_whole_batch_waits() -> None:
-    learning = OnPolicyLearning(SPACES, on_policy("modern", "a2s", {}), 0, LearnerMetrics(), None)
-    assert learning.hold_s(0.99) == 0.0
-    assert learning.hold_s(1.0) > 0.0
+    trainer = OnPolicyTrainer(SPACES, on_policy("modern", "a2s", {}), 0, {}, LearnerMetrics())
+    assert trainer.hold_s(0.99) == 0.0
+    assert trainer.hold_s(1.0) > 0.0

@@ -1,19 +1,22 @@
 """A learner without actors keeps only what can be gone on with."""
 
 import dataclasses
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from a2s.learner.learner import Learner
+from a2s.learner.make import make_replay_learner
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.served import ServedReplay
-from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import checkpoint
 from a2s.learner.run.config import assemble
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import PlainView
 from a2s.protocol.errors import A2SError, RunDirectoryError, UnreachableError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
@@ -54,17 +57,18 @@ def learner(
     updates: int = 100,
     resume: bool = False,
     **changed: str,
-) -> FromReplay:
+) -> Learner:
     """Learn for some updates, from twenty transitions."""
     options = {"variant": "off-policy", "preset": "sac", "total_steps": updates}
-    return FromReplay(
+    return make_replay_learner(
         configuration=assemble(options, SMALL | changed),
         spaces=spaces,
-        source=source,
+        replay=source,
         size=lambda: 20,
-        most=20,
+        max_size=20,
         path=path,
         metrics=LearnerMetrics(),
+        view=PlainView(io.StringIO()),
         resume=resume,
     )
 

@@ -13,7 +13,7 @@ import pytest
 
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.metadata import policy_metadata
-from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.own_replay import OwnReplay
 from a2s.learner.run.config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
@@ -103,7 +103,7 @@ def test_the_limits_are_those_of_the_code() -> None:
     }
     found = re.findall(r" from -(\S+) to (\S+\d)", section("Segment").split("|")[0])
     assert [(float(low), float(high)) for low, high in found] == [
-        (most, most) for most in (MAX_PLAYED, MAX_SUGGESTED, OffPolicyLearning.most_suggested)
+        (most, most) for most in (MAX_PLAYED, MAX_SUGGESTED, OwnReplay.max_suggestion)
     ]
     assert f"at most {MAX_METRICS};" in section("Segment")
     assert f"at most {MAX_METRICS - 1} others;" in section("EnvConfig")  # and is_success

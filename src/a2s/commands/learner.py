@@ -15,13 +15,12 @@ import torch
 from a2s.actors.description import describe
 from a2s.commands.serving import pass_on, serve_on
 from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
-from a2s.learner.ingest.batching import Source
-from a2s.learner.learner import Learner
+from a2s.learner.make import make_learner, make_replay_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.off_policy_trainer import AnyReplay
 from a2s.learner.replay import directory
 from a2s.learner.replay.description import Description
 from a2s.learner.replay.remote import RemoteReplay
-from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
 from a2s.learner.run.metrics import LearnerMetrics
@@ -72,7 +71,7 @@ def learn(
         out.write(_banner(configuration, path, endpoint, metrics_url))
         out.flush()
         with closing(make_view(f"{run.run}: {run.algo} on {run.env}", quiet=as_json)) as view:
-            learner = Learner(
+            learner = make_learner(
                 configuration=configuration,
                 spaces=described.spaces,
                 layout=described.layout,
@@ -148,14 +147,16 @@ def learn_from(
         stop = stack.enter_context(stop_on_signals())
         url = stack.enter_context(_served(metrics, metrics_host, metrics_port))
         stack.enter_context(run_directory.claimed(path))
-        learner = FromReplay(
+        view = stack.enter_context(closing(make_view(f"{run.run}: {run.env}", quiet=as_json)))
+        learner = make_replay_learner(
             configuration=configuration,
             spaces=about.spaces,
-            source=replay,
+            replay=replay,
             size=size,
-            most=most,
+            max_size=most,
             path=path,
             metrics=metrics,
+            view=view,
             resume=resume,
         )
         metrics.run.info(
@@ -205,7 +206,7 @@ def _end(summary: dict[str, Any], stop: Stop, *, as_json: bool) -> int:
 
 def source_of(
     source: str, connect: str, stack: ExitStack, exponent: float
-) -> tuple[Source, Description | ReplayInfo, Callable[[], int], int]:
+) -> tuple[AnyReplay, Description | ReplayInfo, Callable[[], int], int]:
     """Open the replay of a run.
 
     Args:
