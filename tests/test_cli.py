@@ -288,5 +288,7 @@ def test_what_may_not_be_read_is_one_line(tmp_path: Path) -> None:
     powerless = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
     command = [*powerless, sys.executable, "-m", "a2s.cli", "replay", "info", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    said = f"a2s: {replay}/replay.json: Permission denied; run as who may read and write it\n"
+    said = (
+        f"a2s: {replay}/replay.json: Permission denied; run as a user with read and write access\n"
+    )
     assert (done.returncode, done.stderr) == (1, said)

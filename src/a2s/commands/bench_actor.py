@@ -27,10 +27,7 @@ def contests(stack: ExitStack) -> list[Contest]:
     del stack
     torch.set_num_threads(1)
     return [
-        Contest(
-            "env steps/s",
-            [_acting(env_id, 10), _acting(env_id, 1), _bare(env_id)],
-        )
+        Contest("env steps/s", [_acting(env_id, 10), _acting(env_id, 1), _bare(env_id)])
         for env_id in ENV_IDS
     ]
 
