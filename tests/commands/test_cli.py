@@ -1,8 +1,10 @@
-"""Bad usage: one line that says what and what to do, exit code 2, and no traceback."""
+"""The command line: options and where they come from; mistakes get one line and exit code 2."""
 
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,22 +15,7 @@ from typer.testing import CliRunner
 from a2s import cli
 from a2s.protocol.errors import UsageError
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
-def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """Run the command line, expect exit code 2, and give what it says on standard error."""
-    argv, sys.argv = sys.argv, ["a2s", *arguments]
-    try:
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    finally:
-        sys.argv = argv
-    assert ended.value.code == 2
-    return capsys.readouterr().err
+Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.mark.parametrize(
@@ -51,6 +38,10 @@ def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
             ["learner", "--set", "total_timesteps=1e6"],
             "unknown hyperparameter 'total_timesteps' (here it is the option --total-steps)",
         ),
+        (
+            ["learner", "--variant", "off-policy", "--set", "batch_size=5"],
+            "(here it is 'batch_rows')",
+        ),
         (["learner", "--set", "gamma=1.5"], "gamma: found 1.5"),
         (["learner", "--set", "recovery_bias=nan"], "recovery_bias: found nan"),
         (["learner", "--set", "gamma"], "found 'gamma', expected KEY=VALUE"),
@@ -59,6 +50,7 @@ def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
         (["learner", "--total-steps", "0e3"], "A2S_TOTAL_STEPS: found 0e3, expected at least 1"),
         (["learner", "--total-steps", "1e-3"], "found '1e-3', expected a whole number such as"),
         (["learner", "--total-steps", "1.5e0"], "found '1.5e0', expected a whole number such as"),
+        (["learner", "--total-steps", "1e6x"], "found '1e6x', expected a whole number such as 100"),
         (["learner", "--total-steps", "inf"], "found 'inf', expected a whole number such as 1000"),
         (["learner", "--total-steps", "nan"], "found 'nan', expected a whole number such as 1000"),
         (["learner", "--total-steps", "1e999999999"], "found '1e999999999', expected a whole num"),
@@ -85,28 +77,56 @@ def _usage(*arguments: str, capsys: pytest.CaptureFixture[str]) -> str:
         (["plot", "nowhere"], "nowhere: is not a run directory"),
     ],
 )
-def test_a_mistake_gets_one_line(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    error = _usage(*arguments, capsys=capsys)
+def test_a_mistake_gets_one_line(arguments: list[str], said: str, a2s: Run) -> None:
+    code, _, error = a2s(*arguments)
+    assert code == 2
     assert said in error
     assert error.startswith("a2s: ")
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--env-kwargs", "novalue"), "--env-kwargs: found 'novalue'"),
+        (("--env-kwargs", "=3"), "--env-kwargs: found '=3'"),
+        (("--wrapper", "nocolon"), "--wrapper: found 'nocolon'"),
+        (("--wrapper", "a2s_case_numbers:Shift={not json}"), "--wrapper: found 'a2s_case_numbers"),
+        (("--wrapper", "a2s_case_numbers:NoSuchWrapper"), "NoSuchWrapper"),
+        (("--wrapper", "no_such_module:Shift"), "--wrapper: no_such_module: No module named"),
+        (("--wrapper", 'a2s_case_numbers:Shift={"beyond": 1}'), "beyond"),
+        (("--action-repeat", "0"), "action-repeat"),
+        (("--frame-stack", "0"), "frame-stack"),
+        (("--max-episode-steps", "-1"), "max-episode-steps"),
+        (("--env-timeout", "0"), "env-timeout"),
+    ],
+)
+def test_an_option_that_the_environment_cannot_take_is_refused_with_its_name(
+    options: tuple[str, str], said: str, a2s: Run
+) -> None:
+    code, _, error = a2s("learner", "--env", "a2s_case_envs:Control-v0", *options)
+    assert code in (1, 2)
+    assert "Traceback" not in error
+    assert said in error
+    assert "a2s_case_envs.py" not in error  # it is not the mistake of the environment
+    assert not Path("runs").exists()
+
+
 @pytest.mark.parametrize(("name", "most"), [("n_step", 64), ("batch_rows", 4096)])
 def test_more_than_a_served_replay_gives_is_refused_before_the_run_begins(
-    name: str, most: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, most: int, tmp_path: Path, a2s: Run
 ) -> None:
     """Nobody serves one here; it is not even asked for."""
     nobody = ("--replay-from", "first", "--connect", "tcp/127.0.0.1:1")
-    error = _usage("learner", *nobody, "--set", f"{name}={most + 1}", capsys=capsys)
+    code, _, error = a2s("learner", *nobody, "--set", f"{name}={most + 1}")
     assert f"{name}: found {most + 1}, expected at most {most} from a replay over" in error
-    assert list(tmp_path.iterdir()) == []
+    assert (code, list(tmp_path.iterdir())) == (2, [])
 
 
-def test_what_the_parser_refuses_is_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "Traceback" not in _usage("learn", capsys=capsys)
+def test_what_the_parser_refuses_is_exit_code_2(a2s: Run) -> None:
+    code, _, error = a2s("learn")
+    assert code == 2
+    assert "Traceback" not in error
 
 
 def _print_config(*arguments: str) -> str:
@@ -129,7 +149,7 @@ def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
     assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
 
 
-@pytest.mark.parametrize("million", ["1e6", "1E+6", "1000000.0", "1_000_000", "10.0e5"])
+@pytest.mark.parametrize("million", ["1e6", "1E6", "1E+6", "1000000.0", "1_000_000", "10.0e5"])
 def test_a_million_may_be_written_in_any_way(
     million: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +185,16 @@ def test_help_says_the_ranges_of_whole_numbers() -> None:
     said = CliRunner().invoke(cli.app, ["replay", "sample", "--help"], env={"COLUMNS": "200"})
     assert "1..4096" in said.output
     assert "[default: 256]" in said.output
+
+
+@pytest.mark.parametrize("command", ["train", "learner"])
+def test_the_options_of_the_environment_are_a_group_of_their_own(command: str) -> None:
+    text = CliRunner().invoke(cli.app, [command, "--help"], env={"COLUMNS": "120"}).output
+    (group,) = (part for part in text.split("╭─") if part.startswith(" The environment"))
+    assert re.findall(r"^│ (--[a-z-]+)", group, re.MULTILINE) == [
+        "--env-kwargs", "--wrapper", "--action-repeat", "--frame-stack", "--max-episode-steps",
+        "--env-timeout", "--info-metric",
+    ]  # fmt: skip
 
 
 def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
@@ -245,10 +275,12 @@ def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
     ],
 )
 def test_a_file_with_a_mistake_gets_one_line(
-    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, said: str, tmp_path: Path, a2s: Run
 ) -> None:
     (tmp_path / "bad.toml").write_text(text)
-    assert said in _usage("learner", "--config", "bad.toml", capsys=capsys)
+    code, _, error = a2s("learner", "--config", "bad.toml")
+    assert (code, error.count("\n")) == (2, 1)
+    assert said in error
 
 
 def test_every_command_that_needs_no_torch_does_without_it() -> None:
