@@ -1,5 +1,6 @@
 """The way out: a bounded queue that keeps every segment until the learner has answered it."""
 
+import contextlib
 import random
 import threading
 from collections import deque
@@ -34,6 +35,10 @@ class Outbox:
         capacity_steps: Steps that may wait, in at most 256 MiB; at least one segment always fits.
         on_ack: Told every answer, on the sender's thread.
         on_unknown: Told that the learner does not know this actor, on the sender's thread.
+
+    Attributes:
+        steps: Steps that wait for an answer.
+        answered: Segments that were answered.
     """
 
     def __init__(
@@ -50,25 +55,15 @@ class Outbox:
         self._on_ack, self._on_unknown = on_ack, on_unknown
         self._metrics = metrics
         self._waiting: deque[_Waiting] = deque()
-        self._steps = self._bytes = 0
+        self.steps = self._bytes = 0
         self._random = random.Random()  # the global one is the environments'
-        self._answered = 0
+        self.answered = 0
         self._draining = self._closing = self._held_back = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._send_all, name="outbox")
         self._thread.start()
         metrics.outbox_capacity.set(capacity_steps)
         metrics.outbox.set(0)
-
-    @property
-    def steps(self) -> int:
-        """Steps that wait for an answer."""
-        return self._steps
-
-    @property
-    def answered(self) -> int:
-        """Segments that were answered."""
-        return self._answered
 
     def narrow(self, steps: int) -> None:
         """Let at most this many steps wait from now on, or what it was made for if that is less."""
@@ -78,10 +73,9 @@ class Outbox:
         self._metrics.outbox_capacity.set(self._capacity_steps)
 
     def put(self, segment: Segment, timeout_s: float) -> bool:
-        """Hand over a segment; blocks for at most ``timeout_s`` seconds while the outbox is full.
+        """Hand over a segment; tell whether it was taken.
 
-        Returns:
-            Whether it was taken.
+        Blocks for at most ``timeout_s`` seconds while the outbox is full.
         """
         item = _Waiting(encode(segment), segment.num_steps)
         with self._changed:
@@ -95,16 +89,14 @@ class Outbox:
     def _fits(self, item: _Waiting) -> bool:
         if not self._waiting:
             return True
-        fits = self._steps + item.steps <= self._capacity_steps and not self._held_back
+        fits = self.steps + item.steps <= self._capacity_steps and not self._held_back
         return fits and self._bytes + len(item.payload) <= _MAX_BYTES
 
     def close(self, timeout_s: float) -> int:
-        """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
+        """Stop taking, send what waits, and end the thread; give the count of unanswered segments.
 
-        A learner that does not answer is not asked again: mostly its run is over.
-
-        Returns:
-            Segments that were never answered.
+        It takes ``timeout_s`` seconds and one request at most. A learner that does not answer is
+        not asked again: mostly its run is over.
         """
         with self._changed:
             self._draining = True
@@ -130,16 +122,16 @@ class Outbox:
             with self._changed:
                 self._waiting.popleft()
                 self._count(item, -1)
-                self._answered += 1
+                self.answered += 1
                 self._held_back = ack.wait_s > 0
                 self._changed.notify_all()
             self._on_ack(ack)
             self._pause(ack.wait_s)
 
     def _count(self, item: _Waiting, sign: int) -> None:
-        self._steps += sign * item.steps
+        self.steps += sign * item.steps
         self._bytes += sign * len(item.payload)
-        self._metrics.outbox.set(self._steps)
+        self._metrics.outbox.set(self.steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
         """Send until answered or closed; once only when the outbox is to be emptied."""
@@ -149,7 +141,9 @@ class Outbox:
             self._metrics.messages_sent.inc()
             self._metrics.sent_bytes.inc(len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
-            ack = self._read(reply)
+            ack = None
+            with contextlib.suppress(MalformedMessageError):  # then it is sent again
+                ack = None if reply is None else decode(reply, Ack)
             if ack is not None and ack.verdict == "unknown":
                 self._on_unknown()
             elif ack is not None:
@@ -162,15 +156,6 @@ class Outbox:
             self._pause(back_off_s * self._random.uniform(0.5, 1.0))
             back_off_s = min(back_off_s * 2, longest_s)
         return None
-
-    @staticmethod
-    def _read(reply: bytes | None) -> Ack | None:
-        if reply is None:
-            return None
-        try:
-            return decode(reply, Ack)
-        except MalformedMessageError:
-            return None
 
     def _pause(self, seconds: float) -> None:
         if seconds > 0:

@@ -52,7 +52,7 @@ class Parent:
         inherit_orphans()
         self._lock = threading.Lock()
         lines = os.fdopen(life, "rb", buffering=0)
-        self.task: dict[str, Any] = json.loads(_line(lines.read))
+        self.task: dict[str, Any] = json.loads(lines.readline() or b"{}")
         threading.Thread(target=self._await_end, args=(lines.read,), daemon=True).start()
         threading.Thread(target=self._reap, daemon=True).start()
 
@@ -126,11 +126,3 @@ class _Logger(logging.Logger):
 
     def handle(self, record: logging.LogRecord) -> None:
         self.ours.handle(record)
-
-
-def _line(read: Callable[[int], bytes]) -> bytes:
-    """Read a line byte by byte: what follows it is not ours to buffer."""
-    line = b""
-    while not line.endswith(b"\n") and (byte := read(1)):
-        line += byte
-    return line or b"{}"

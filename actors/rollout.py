@@ -68,6 +68,9 @@ class Rollout:
         actor: Name to send under.
         environments: At least one; the rollout resets them.
         seed: Seeds the environments, ``random``, ``np.random`` and the suggestions' noise.
+
+    Attributes:
+        segments_made: Count of the segments that were yielded.
     """
 
     def __init__(
@@ -90,16 +93,11 @@ class Rollout:
         self._metrics, self._troubles = metrics, troubles
         self._choice: Choice | None = None
         metrics.q_spread.set_function(self._q_spread)
-        self._seq = 0
+        self.segments_made = 0
         spaces = environments[0].spaces
         row_bytes = _FLOAT_BYTES * (spaces.obs_size + spaces.action_size + 2)
         room = _SEGMENT_BYTES - _FLOAT_BYTES * spaces.obs_size  # for the last observation
         self._max_rows = max(1, room // row_bytes)
-
-    @property
-    def segments_made(self) -> int:
-        """Segments yielded since the beginning."""
-        return self._seq
 
     def play(
         self, suggester: Suggester, notice: Notice, interrupted: Callable[[], bool]
@@ -225,7 +223,7 @@ class Rollout:
         try:
             segment = Segment(
                 actor=self._actor,
-                seq=self._seq,
+                seq=self.segments_made,
                 generation=notice.generation,
                 epoch=notice.epoch,
                 weights_version=notice.version,
@@ -248,7 +246,7 @@ class Rollout:
             return
         slot.useless = 0
         slot.quota_episodes += segment.ends_episode
-        self._seq += 1
+        self.segments_made += 1
         yield segment
 
     def _count_episode(self, slot: _Slot, *, terminated: bool) -> None:
