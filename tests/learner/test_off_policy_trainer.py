@@ -236,33 +236,24 @@ def _saved_after(learned: int, run: _Run, place: Path) -> Saved:
     return saved
 
 
-def test_what_came_after_the_checkpoint_is_still_there_and_due(make: Learn, tmp_path: Path) -> None:
+def test_what_came_after_the_checkpoint_belongs_to_the_next_batch(
+    make: Learn, tmp_path: Path
+) -> None:
+    """Each observation counts once: those of the batches before it are in the state."""
     run = make()
     saved = _saved_after(8, run, tmp_path / "run")
     run.store([12])  # never written into the ledger, so never acknowledged
     run.trainer.close()
     again = make(saved=saved)
     again.replay.quota(num_envs=4)
-    outcome = again.learn()
-    assert outcome.row["replay_rows"] == 12 * 5
-    assert outcome.row["gradient_steps"] == 40  # 60 steps, 20 of warm-up, 10 ahead, 10 were made
-
-
-def test_observations_that_came_after_the_checkpoint_are_taken_into_account(
-    make: Learn, tmp_path: Path
-) -> None:
-    """Each once: those of the batches before it are in the state."""
-    run = make()
-    saved = _saved_after(3, run, tmp_path / "run")
-    run.trainer.close()
-    again = make(saved=saved)
-    again.learn()
+    row = again.learn().row
+    # 60 steps, 20 of warm-up, 10 ahead, 10 were made
+    assert (row["replay_rows"], row["gradient_steps"]) == (60, 40)
     tensors, scalars = again.trainer.state()
     obs = np.concatenate([played(seq).obs for seq in range(12)]).astype(np.float64)
-    assert float(tensors["normaliser.count"]) == len(obs)
+    assert float(tensors["normaliser.count"]) == scalars["learned_from"] == len(obs)
     np.testing.assert_allclose(tensors["normaliser.mean"], obs.mean(0), rtol=1e-12)
     np.testing.assert_allclose(tensors["normaliser.variance"], obs.var(0), rtol=1e-12)
-    assert scalars["learned_from"] == len(obs)
 
 
 def test_a_state_that_does_not_fit_leaves_the_replay_alone(make: Learn, tmp_path: Path) -> None:
@@ -333,7 +324,9 @@ def test_rows_after_the_checkpoint_may_be_torn_and_another_replay_begun(
     assert again.trainer.state()[1]["learned_from"] == 55
     again.trainer.close()
     shutil.move(place / "replay", tmp_path / "moved")
-    make(saved=saved).trainer.close()
+    begun = make(saved=saved)
+    begun.play(0, 1)
+    assert begun.trainer.state()[1]["learned_from"] == 5
     assert [record.message for record in caplog.records] == [
         f"replay {place / 'replay'}: cut 1 torn records at its end",
         f"replay {place / 'replay'}: is not there any more, another is begun",
