@@ -146,8 +146,7 @@ class OffPolicyTrainer:
             begin_s = time.monotonic()
             means.add(self._learn_once())
             update_s = min(update_s, time.monotonic() - begin_s)
-        if not self._algorithm.is_finite():
-            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
+        self._require_finite()
         row: dict[str, object] = dict.fromkeys(SHOWN)
         if means.count:
             shown = means.means()
@@ -156,12 +155,21 @@ class OffPolicyTrainer:
         return Outcome(row | dict(self._source.end_round(means.count, update_s)))
 
     def state(self) -> Saved:
-        """Of the algorithm and the source."""
+        """Of the algorithm and the source.
+
+        Raises:
+            A2SError: The networks are no longer finite.
+        """
+        self._require_finite()
         return self._algorithm.state(), {"updates": self._updates, **self._source.state()}
 
     def close(self) -> None:
         """Close the source."""
         self._source.close()
+
+    def _require_finite(self) -> None:
+        if not self._algorithm.is_finite():
+            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
 
     def _learn_once(self) -> OffPolicyStats:
         normalises = self._algorithm.hyper.norm_return

@@ -76,9 +76,11 @@ class OwnReplay:
         self._update_s = 0.01
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
         self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned)
-        self._limiter.count_insert(self.replay.live.stop)
+        num_rows = self.replay.live.stop
+        self._num_learned = min(self._num_learned, num_rows)  # another replay may have been begun
+        self._limiter.count_insert(num_rows)
         if saved is not None:
-            self._limiter.load(saved["limiter"], self.replay.live.stop)
+            self._limiter.load(saved["limiter"], num_rows)
             self.replay.highest_priority = saved["highest_priority"]
             self._rng.bit_generator.state = saved["rng"]
         self._shown_waits = self._waits()  # by this process

@@ -88,7 +88,6 @@ class LiveView:
         self._task: TaskID | None = None
         self._drawn_s = 0.0
         self._waiting_since_s: float | None = None
-        self._display.start()
 
     def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
         """Redraw if it is time to."""
@@ -100,6 +99,7 @@ class LiveView:
         self._drawn_s = now_s
         done, total = status.env_steps, status.run.total_steps
         if self._task is None:
+            display.start()
             self._task = display.add_task(self._title, total=total, completed=done, rate=0.0)
         display.update(self._task, completed=done, rate=display.tasks[0].speed or 0.0)
         display.lines = tuple(_lines(status, members, kl, now_s - self._waiting_since_s))

@@ -51,8 +51,8 @@ class Saver:
             RunDirectoryError: They cannot be written.
         """
         status, offset = self._status, self._obs_offset
-        self.latest = self.keep_policy("latest")
         tensors, algorithm = self._trainer.state()
+        self.latest = self.keep_policy("latest")
         state = {
             "algorithm": algorithm,
             "rows": status.rows,

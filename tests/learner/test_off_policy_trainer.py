@@ -1,6 +1,5 @@
 """The off-policy trainer and its replay: how much is learned, from what, when to wait."""
 
-import dataclasses
 import shutil
 import time
 from collections.abc import Callable, Iterable
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from segments import segment
 
 from a2s.actors.suggester import Suggester
 from a2s.learner.ingest.ledger import Ledger
@@ -38,7 +38,7 @@ class _Run(NamedTuple):
     def store(self, numbers: Iterable[int], place: Path | None = None) -> None:
         """Store segments with these numbers."""
         for seq in numbers:
-            self.replay.store(0, segment(seq, place=place))
+            self.replay.store(0, played(seq, place))
 
     def learn(self) -> Outcome:
         """Learn from what was stored."""
@@ -73,22 +73,13 @@ def make(tmp_path: Path) -> Learn:
     return made
 
 
-def segment(seq: int, steps: int = 5, place: Path | None = None) -> Segment:
-    """Steps whose reward is large when the action is near 0.5; told to the ledger of ``place``."""
-    rng = np.random.default_rng(seq)
-    action = rng.uniform(-1, 1, (steps, 2)).astype(np.float32)
+def played(seq: int, place: Path | None = None) -> Segment:
+    """An episode of five steps; told to the ledger of ``place``."""
     if place is not None:
         ledger = Ledger(place / "segments.log")
-        ledger.record("a", seq, "accepted", steps)
+        ledger.record("a", seq, "accepted", 5)
         ledger.close()
-    return Segment(
-        actor="a", seq=seq, generation=1, epoch=0, weights_version=1, env=0,
-        obs=rng.standard_normal((steps, 3)).astype(np.float32), suggestion=action,
-        log_prob=np.zeros(steps, np.float32),
-        reward=-np.square(action - 0.5).sum(1).astype(np.float32),
-        final_obs=np.zeros(3, np.float32), terminated=True, truncated=False,
-        episode_return=0.0, episode_length=steps,
-    )  # fmt: skip
+    return segment(seq, 5, obs_size=3, action_size=2, terminated=True)
 
 
 def test_updates_follow_the_steps_played(make: Learn) -> None:
@@ -131,10 +122,7 @@ def test_errors_become_priorities_where_they_count(
 def test_the_size_of_returns_is_that_of_the_replay(make: Learn) -> None:
     """Rewards of 1, episodes of 5 steps, a half of what follows: 1.9375, 1.875, 1.75, 1.5, 1."""
     run = make(batch_rows=900, gamma=0.5)
-    segments = [dataclasses.replace(segment(n), reward=np.ones(5, np.float32)) for n in range(20)]
-    for each in segments:
-        run.replay.store(0, each)
-    run.learn()
+    run.play(0, 20)
     expected = np.mean(np.square([1.9375, 1.875, 1.75, 1.5, 1.0]))
     found = run.trainer.state()[0]["return_size.mean_square"]
     assert float(found) == pytest.approx(expected, abs=0.15)
@@ -247,33 +235,24 @@ def _saved_after(learned: int, run: _Run, place: Path) -> Saved:
     return saved
 
 
-def test_what_came_after_the_checkpoint_is_still_there_and_due(make: Learn, tmp_path: Path) -> None:
+def test_what_came_after_the_checkpoint_belongs_to_the_next_batch(
+    make: Learn, tmp_path: Path
+) -> None:
+    """Each observation counts once: those of the batches before it are in the state."""
     run = make()
     saved = _saved_after(8, run, tmp_path / "run")
     run.store([12])  # never written into the ledger, so never acknowledged
     run.trainer.close()
     again = make(saved=saved)
     again.replay.quota(num_envs=4)
-    outcome = again.learn()
-    assert outcome.row["replay_rows"] == 12 * 5
-    assert outcome.row["gradient_steps"] == 40  # 60 steps, 20 of warm-up, 10 ahead, 10 were made
-
-
-def test_observations_that_came_after_the_checkpoint_are_taken_into_account(
-    make: Learn, tmp_path: Path
-) -> None:
-    """Each once: those of the batches before it are in the state."""
-    run = make()
-    saved = _saved_after(3, run, tmp_path / "run")
-    run.trainer.close()
-    again = make(saved=saved)
-    again.learn()
+    row = again.learn().row
+    # 60 steps, 20 of warm-up, 10 ahead, 10 were made
+    assert (row["replay_rows"], row["gradient_steps"]) == (60, 40)
     tensors, scalars = again.trainer.state()
-    obs = np.concatenate([segment(seq).obs for seq in range(12)]).astype(np.float64)
-    assert float(tensors["normaliser.count"]) == len(obs)
+    obs = np.concatenate([played(seq).obs for seq in range(12)]).astype(np.float64)
+    assert float(tensors["normaliser.count"]) == scalars["learned_from"] == len(obs)
     np.testing.assert_allclose(tensors["normaliser.mean"], obs.mean(0), rtol=1e-12)
     np.testing.assert_allclose(tensors["normaliser.variance"], obs.var(0), rtol=1e-12)
-    assert scalars["learned_from"] == len(obs)
 
 
 def test_a_state_that_does_not_fit_leaves_the_replay_alone(make: Learn, tmp_path: Path) -> None:
@@ -344,19 +323,18 @@ def test_rows_after_the_checkpoint_may_be_torn_and_another_replay_begun(
     assert again.trainer.state()[1]["learned_from"] == 55
     again.trainer.close()
     shutil.move(place / "replay", tmp_path / "moved")
-    make(saved=saved).trainer.close()
+    begun = make(saved=saved)
+    begun.play(0, 1)
+    assert begun.trainer.state()[1]["learned_from"] == 5
     assert [record.message for record in caplog.records] == [
         f"replay {place / 'replay'}: cut 1 torn records at its end",
         f"replay {place / 'replay'}: is not there any more, another is begun",
     ]
 
 
-def test_a_replay_of_another_environment_is_refused(make: Learn) -> None:
+def test_a_replay_of_another_environment_or_below_one_batch_is_refused(make: Learn) -> None:
     make().trainer.close()
     with pytest.raises(RunDirectoryError, match=r"Other-v0"):
         make(env_id="Other-v0")
-
-
-def test_a_replay_below_one_batch_is_refused(make: Learn) -> None:
     with pytest.raises(UsageError, match="batch_rows"):
         make(replay_rows=7)
