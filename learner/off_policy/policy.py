@@ -9,7 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from a2s.learner.off_policy.squashed import Drawn, Gaussian, log_density
+from a2s.learner.networks.gaussian import log_density
+from a2s.learner.off_policy.squashed import Drawn, Gaussian
 
 
 class PolicyStep(NamedTuple):
@@ -61,7 +62,7 @@ def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor
     """
     log_std = policy.log_std.unsqueeze(1)
     std = log_std.exp()
-    log_prob = log_density(policy.mean.unsqueeze(1) + std * normal, normal, log_std)
+    log_prob = log_density(normal, log_std, policy.mean.unsqueeze(1) + std * normal)
     advantage = advantage_over_others(q_value - temperature * log_prob)
     pull = (advantage / advantage.numel()).unsqueeze(-1)
     mean_grad = -(pull * normal / std).sum(1)

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.ensemble import score_many
+from a2s.learner.networks.gaussian import log_density
+from a2s.learner.networks.stored import check_tensors
 from a2s.learner.off_policy.acting import (
     OffPolicySuggester,
     OffPolicySuggesterMode,
@@ -26,12 +28,10 @@ from a2s.learner.off_policy.squashed import (
     draw,
     draw_several,
     gaussian,
-    log_density,
 )
 from a2s.learner.off_policy.state import TrainState
 from a2s.learner.off_policy.targets import backup, evaluate, pick_best
 from a2s.learner.off_policy.transitions import Transitions
-from a2s.learner.on_policy.state import check_tensors
 
 
 class OffPolicyStats(NamedTuple):
@@ -164,7 +164,7 @@ class OffPolicy:
         fit, q_mean = self._learn_critics(obs, batch, target)
         moved = self._policy_step(obs, policy, drawn, noise, temperature)
         state.policy.differentiate(tape, moved.grad.unsqueeze(0))
-        state.adam["policy"].step(state.policy.grad)
+        state.adam["policy"].step(state.policy.grad, self.hyper.learning_rate)
         state.policy.refresh()
         state.update_average()
         state.targets.value.lerp_(state.critics.value, self.hyper.tau)
@@ -205,7 +205,7 @@ class OffPolicy:
         """
         if self.train_state.learns_temperature:
             grad = -(log_prob.mean() + self._wanted_entropy)
-            self.train_state.adam["temperature"].step(grad)
+            self.train_state.adam["temperature"].step(grad, self.hyper.temperature_learning_rate)
 
     def _target(self, batch: Transitions, obs: Tensor, noise: Noise, temperature: Tensor) -> Tensor:
         """Targets of equation 8, ``[B, M']``."""
@@ -226,7 +226,7 @@ class OffPolicy:
             batch.reward,
             batch.discount,
             evaluate(value, hyper.quantiles_to_drop),
-            log_density(u, normal, policy.log_std),
+            log_density(normal, policy.log_std, u),
             temperature=temperature,
             suggestions=hyper.target_suggestions,
         )
@@ -242,7 +242,7 @@ class OffPolicy:
         else:
             fit = quantile_loss(q_value, target, batch.weight, self.hyper.kappa)
         critics.differentiate(tape, fit.grad)
-        self.train_state.adam["critics"].step(critics.grad)
+        self.train_state.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
         return fit, q_value.mean()
 
@@ -282,4 +282,4 @@ class OffPolicy:
             critic: Number of a critic for each group, ``[N]``.
         """
         critics = self.train_state.critics
-        return score_many(critics.form, critics.pick(critic), obs, action).mean(-1)
+        return score_many(critics.form, critics.weights.pick(critic), obs, action)

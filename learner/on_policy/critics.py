@@ -48,11 +48,11 @@ def fit_critics(
     """
     learned.returns.update(target)
     wanted = learned.returns.normalise(target)
-    value = Regression(body=learned.value_net.body, inputs=seen, optimiser=learned.adam["value"])
+    value = Regression(network=learned.value_net, inputs=seen, optimiser=learned.adam["value"])
     jobs = [value]
     if hyper.uses_q:
         inputs = q_input(batch, seen, hyper)
-        jobs.append(Regression(body=learned.q_net.body, inputs=inputs, optimiser=learned.adam["q"]))
+        jobs.append(Regression(network=learned.q_net, inputs=inputs, optimiser=learned.adam["q"]))
     if hyper.fit_rule == "epochs":
         return _by_epochs(jobs, wanted, hyper, learning_rate, order)
     value_loss, value_steps = _by_threshold(

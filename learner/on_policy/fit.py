@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.body import Body
+from a2s.learner.networks.ensemble import Ensemble
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -19,12 +19,12 @@ class Regression:
     """One network to be fitted.
 
     Attributes:
-        body: Its body, which has one output.
+        network: A single one with one output.
         inputs: What it sees, ``[N, in]``.
         optimiser: Of its parameters.
     """
 
-    body: Body
+    network: Ensemble
     inputs: Tensor
     optimiser: Adam
 
@@ -33,10 +33,10 @@ class Regression:
         self, inputs: Tensor, target: Tensor, learning_rate: float, max_grad_norm: float
     ) -> Tensor:
         """Make a step down the mean squared error, and return it."""
-        value, layers = self.body.trace(inputs)
+        value, tape = self.network.trace(inputs)
         error = value.squeeze(-1) - target
-        self.body.differentiate(layers, (error * (2.0 / len(target))).unsqueeze(-1))
-        self.optimiser.step(learning_rate, max_grad_norm)
+        self.network.differentiate(tape, (error * (2.0 / len(target))).unsqueeze(-1))
+        self.optimiser.step(self.network.grad, learning_rate, max_grad_norm)
         return error.square().sum() / len(target)
 
 

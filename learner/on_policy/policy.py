@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.distil import distil_policy, distil_target
@@ -13,7 +14,6 @@ from a2s.learner.on_policy.policy_gradient import (
     PolicyData,
     importance,
     improve,
-    log_density,
     normalised,
 )
 from a2s.learner.on_policy.state import Learned
@@ -40,7 +40,7 @@ class PolicyUpdate(NamedTuple):
 def policy_now(learned: Learned, obs: Tensor) -> PolicyNow:
     """Keep the present policy on a batch: observations as the environment gave them."""
     policy = learned.policy
-    return PolicyNow(policy(learned.normaliser(obs)), policy.log_std.detach().clone())
+    return PolicyNow(policy(learned.normaliser(obs)), policy.log_std.clone())
 
 
 def update_policy(
@@ -85,7 +85,8 @@ def update_policy(
             generator=q_order,
         )
     advantage = _advantage(batch, seen, evidence, learned, hyper)
-    log_prob = log_density(collected.mean, collected.log_std, batch.suggestion)
+    normal = (batch.suggestion - collected.mean) * (-collected.log_std).exp()
+    log_prob = log_density(normal, collected.log_std)
     weight = importance(log_prob, batch.log_prob, hyper.weight_limit)
     if hyper.kl_scope == "policy-gradient":
         collected = policy_now(learned, batch.obs)
@@ -134,5 +135,4 @@ def _advantage(
     if hyper.advantage != "q-v":
         return evidence.advantage
     q_value = learned.q_net(q_input(batch, seen, hyper))
-    advantage: Tensor = (q_value - learned.value_net(seen)) * learned.returns.std
-    return advantage
+    return (q_value - learned.value_net(seen)).squeeze(1) * learned.returns.std

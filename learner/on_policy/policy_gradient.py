@@ -1,6 +1,5 @@
 """The policy gradient: advantages, losses, and the passes over the batch."""
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,13 +7,12 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.networks import Policy
+from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy, log_density
 from a2s.learner.on_policy.config import OnPolicyConfig, PolicyLoss
 from a2s.learner.on_policy.fit import num_chunks
 from a2s.learner.on_policy.returns import RESOLUTION
 from a2s.learner.on_policy.step_size import gaussian_kl
 
-HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 # Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
 LEAST_WEIGHT, MOST_LOG_RATIO = 1e-30, 20.0
 
@@ -48,12 +46,6 @@ class Improvement(NamedTuple):
     policy_loss: float
     epochs: int
     kl: float
-
-
-def log_density(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
-    """Log density of a diagonal Gaussian: ``[M, A]``, ``[A]``, ``[M, A]`` to ``[M]``."""
-    z = (action - mean) * (-log_std).exp()
-    return -0.5 * z.square().sum(1) - (log_std + HALF_LOG_2PI).sum()
 
 
 def entropy(log_std: Tensor) -> Tensor:
@@ -156,10 +148,10 @@ def improve(
         passes += 1
         total.zero_()
         for part in _minibatches(data, count, generator):
-            mean, layers = policy.trace(part.obs)
+            mean, tape = policy.trace(part.obs)
             loss, by_mean, by_log_std = differentiate(mean, policy.log_std, part, hyper)
-            policy.differentiate(layers, by_mean, by_log_std)
-            optimiser.step(learning_rate, hyper.max_grad_norm)
+            policy.differentiate(tape, by_mean, by_log_std)
+            optimiser.step(policy.grad, learning_rate, hyper.max_grad_norm)
             policy.hold_floor()
             total += loss
         kl = joint_kl(policy, data)
@@ -184,13 +176,12 @@ def differentiate(
     """
     factor = (-log_std).exp()
     z = (part.action - mean) * factor
-    square = z.square()
-    log_prob = -0.5 * square.sum(1) - (log_std + HALF_LOG_2PI).sum()
+    log_prob = log_density(z, log_std)
     loss, slope = policy_loss(
         hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
     )
     steep = slope.unsqueeze(1)
-    by_log_std = (steep * square).sum(0) - slope.sum() - hyper.entropy_weight
+    by_log_std = (steep * z.square()).sum(0) - slope.sum() - hyper.entropy_weight
     return loss, steep * z * factor, by_log_std
 
 

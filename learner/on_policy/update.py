@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.stored import check_tensors
 from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.config import OnPolicyConfig
@@ -17,7 +18,7 @@ from a2s.learner.on_policy.critics import Fits, fit_critics
 from a2s.learner.on_policy.policy import PolicyUpdate, policy_now, update_policy
 from a2s.learner.on_policy.policy_gradient import entropy
 from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
-from a2s.learner.on_policy.state import Learned, Snapshot, check_tensors
+from a2s.learner.on_policy.state import Learned, Snapshot
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.step_size import StepSize
 from a2s.learner.on_policy.suggestion import choosiness
@@ -266,8 +267,8 @@ class OnPolicy:
             q_action_correlation=evidence.q_action_correlation,
             value_explained_variance=evidence.value_explained_variance,
             advantage_std=moved.advantage_std,
-            entropy=float(entropy(learned.policy.log_std.detach())),
-            std=float(learned.policy.std().detach().mean()),
+            entropy=float(entropy(learned.policy.log_std)),
+            std=float(learned.policy.std().mean()),
             return_mean=learned.returns.mean,
             return_std=learned.returns.std,
             q_trusted=int(self._q_trusted),

@@ -148,13 +148,6 @@ def test_warm_up_spreads_actions_evenly_over_the_bounds() -> None:
     assert suggester(torch.zeros(1, 3), torch.zeros(1, 1, 2)).suggestion.tolist() == [[0.0, 0.0]]
 
 
-def test_canonical_interval_spans_the_bounds() -> None:
-    """The ends and the middle."""
-    suggester = make()
-    ends = suggester.to_env(torch.tensor([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0]]))
-    torch.testing.assert_close(ends, torch.tensor([[-0.4, 1.0], [0.4, 5.0], [0.0, 3.0]]))
-
-
 def test_several_suggestions_need_critics() -> None:
     """They could only be picked by chance."""
     suggester = make()

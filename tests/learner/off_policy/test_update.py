@@ -7,6 +7,7 @@ import pytest
 import torch
 from plain_sac import PlainSac, modules
 
+from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.off_policy.config import PRESETS
 from a2s.learner.off_policy.noise import Noise, draw_noise
 from a2s.learner.off_policy.transitions import Transitions
@@ -223,7 +224,7 @@ def test_targets_by_hand() -> None:
     learned.targets.value.zero_()
     learned.critics.value.zero_()
     for member, constant in enumerate((7.0, 5.0)):
-        learned.targets.weights.full[-1][member] = constant
+        learned.targets.weights.bias[-1][member] = constant
     learned.policy.value.zero_()  # u is standard normal
     learned.log_temperature.fill_(-1.2039728)  # temperature 0.3
     rows, noise = batch(2), noise_of(algorithm, 0)
@@ -303,11 +304,18 @@ def test_target_is_that_of_a_loop_over_groups_and_suggestions() -> None:
     torch.testing.assert_close(found.error, torch.stack(errors).mean(0), rtol=1e-4, atol=1e-4)
 
 
+def parameters(ensemble: Ensemble) -> list[torch.Tensor]:
+    """Views, the first dimension of which numbers the members."""
+    weights = ensemble.exact
+    norms = [each for norm in weights.norms for each in (norm.gain, norm.offset)]
+    return [*weights.weight, *weights.bias, *norms]
+
+
 def test_numbering_of_the_critics_does_not_matter() -> None:
     """Two that change places, and their numbers in the noise with them."""
     one, other = make("modern", target_groups=2), make("modern", target_groups=2)
     for ensemble in (other.train_state.critics, other.train_state.targets):
-        for view in ensemble.weights.full:
+        for view in parameters(ensemble):
             view.copy_(view.flip(0))
     for number in range(3):
         noise = noise_of(one, number)
@@ -315,7 +323,7 @@ def test_numbering_of_the_critics_does_not_matter() -> None:
         other.update(batch(number), noise._replace(critic=1 - noise.critic))
     torch.testing.assert_close(one.train_state.policy.value, other.train_state.policy.value)
     for mine, yours in zip(
-        one.train_state.targets.weights.full, other.train_state.targets.weights.full, strict=True
+        parameters(one.train_state.targets), parameters(other.train_state.targets), strict=True
     ):
         torch.testing.assert_close(mine, yours.flip(0))
 

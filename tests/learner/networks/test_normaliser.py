@@ -1,79 +1,11 @@
-"""Networks and the normaliser, against what they are made of."""
+"""The normaliser against moments of everything that it saw."""
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import nn
 
-from a2s.learner.networks.networks import Normaliser, Policy, Q, Value
-from a2s.learner.run.config import on_policy
-
-
-def make_q(**options: object) -> Q:
-    """Build Q of four observed numbers and two actions."""
-    return Q(4, 2, on_policy("modern", "a2s", options), torch.Generator().manual_seed(0))
-
-
-@pytest.mark.parametrize("layer_norm", [True, False])
-def test_q_is_a_stack_of_linear_norm_and_tanh(layer_norm: bool) -> None:
-    """Against the same numbers in torch's own layers."""
-    q_net = make_q(layer_norm=layer_norm, q_sizes="5,3")
-    with torch.no_grad():
-        for parameter in q_net.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    joint, body = torch.randn(7, 6), q_net.body
-    x = joint
-    for layer in range(3):
-        x = x @ body.weight[layer] + body.bias[layer]
-        if layer < 2:
-            if layer_norm:
-                norm = nn.LayerNorm(x.shape[1])
-                norm.weight.data = body.gain[layer].data
-                norm.bias.data = body.offset[layer].data
-                x = norm(x)
-            x = torch.tanh(x)
-    torch.testing.assert_close(q_net(joint), x[:, 0])
-
-
-def test_scores_of_many_actions_are_those_one_by_one() -> None:
-    """The first layer is split into observation and action."""
-    q_net = make_q()
-    obs, action = torch.randn(5, 4), torch.randn(5, 3, 2)
-    found = q_net.score(obs, action)
-    for k in range(3):
-        torch.testing.assert_close(found[:, k], q_net(torch.cat([obs, action[:, k]], 1)))
-
-
-def test_uniform_init_is_the_authors() -> None:
-    """Hidden U(-1, 1), output U(-.1, .1), biases 0."""
-    hyper = on_policy("authors", "a2s", {})
-    body = Value(4, hyper, torch.Generator().manual_seed(0)).body.requires_grad_(False)
-    assert 0.9 < float(body.weight[1].abs().max()) <= 1.0
-    assert 0.05 < float(body.weight[2].abs().max()) <= 0.1
-    assert all(float(bias.abs().max()) == 0.0 for bias in body.bias)
-
-
-def test_orthogonal_init_has_its_gains() -> None:
-    """Gain sqrt(2) inside, .01 at the output of the policy."""
-    policy = Policy(64, 3, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
-    inner, last = policy.body.weight[1], policy.body.weight[2]
-    torch.testing.assert_close(inner @ inner.T, 2.0 * torch.eye(64), atol=1e-4, rtol=0.0)
-    torch.testing.assert_close(last.T @ last, 1e-4 * torch.eye(3), atol=1e-7, rtol=0.0)
-
-
-def test_std_is_a_parameter_only_when_learned() -> None:
-    """The floor is held by the parameter itself."""
-    generator = torch.Generator().manual_seed(0)
-    fixed = Policy(4, 2, on_policy("authors", "a2s", {}), generator)
-    learned = Policy(4, 2, on_policy("modern", "a2s", {}), generator)
-    assert "log_std" not in dict(fixed.named_parameters())
-    assert "log_std" in dict(learned.named_parameters())
-    torch.testing.assert_close(fixed.std(), torch.full((2,), 0.5))
-    with torch.no_grad():
-        learned.log_std.fill_(-9.0)
-    learned.hold_floor()
-    torch.testing.assert_close(learned.std().detach(), torch.full((2,), 0.15))
+from a2s.learner.networks.normaliser import Normaliser
 
 
 def test_normaliser_has_the_moments_of_everything_it_saw() -> None:
