@@ -17,10 +17,10 @@ from a2s.learner.ingest.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
-from a2s.learner.replay import description, directory
+from a2s.learner.replay import directory, files
 from a2s.learner.replay.limiter import Limiter
+from a2s.learner.replay.remote import ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.learner.run.config import Device
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Outcome, Quota, Saved
@@ -253,7 +253,7 @@ def _open(
     """Open the replay that is there, given the wanted capacity; else make one."""
     sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
     alpha = hyper.priority_exponent
-    if not (path / description.NAME).exists():
+    if not (path / files.NAME).exists():
         if least_rows:
             logger.warning("replay %s: is not there any more, another is begun", path)
         return directory.create(path, env_id, spaces, alpha=alpha, **sizes)

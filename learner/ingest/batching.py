@@ -9,7 +9,7 @@ import torch
 from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.on_policy.batch import Batch
-from a2s.learner.replay import transitions as stored
+from a2s.learner.replay import sampling as stored
 from a2s.protocol.messages import Segment
 from a2s.protocol.replay_messages import MOST_STEPS
 

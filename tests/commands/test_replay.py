@@ -23,7 +23,7 @@ from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.replay import directory
 from a2s.learner.replay.episodes import StoredEpisodes
-from a2s.learner.replay.served import ServedReplay
+from a2s.learner.replay.remote import ServedReplay
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import ZenohBus

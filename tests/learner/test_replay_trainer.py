@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import checkpoint
 from a2s.learner.run.config import assemble

@@ -19,7 +19,7 @@ from a2s.learner.ingest.batching import Source
 from a2s.learner.learner import Learner
 from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
 from a2s.learner.replay import directory
-from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import directory as run_directory
