@@ -19,7 +19,7 @@ from a2s.learner.off_policy_trainer import AnyReplay, OffPolicyTrainer
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.other_replay import OtherReplay, ReplayFeed
 from a2s.learner.own_replay import OwnReplay
-from a2s.learner.replay.served import ServedReplay
+from a2s.learner.replay.remote import ServedReplay
 from a2s.learner.run import checkpoint, saver
 from a2s.learner.run.config import Configuration, RunConfig
 from a2s.learner.run.memory import keep_freed_memory

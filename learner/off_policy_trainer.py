@@ -14,9 +14,10 @@ from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
-from a2s.learner.replay import transitions as stored
+from a2s.learner.replay import sampling
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.ring import Rows
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Outcome, Saved
 from a2s.protocol.errors import A2SError
@@ -32,7 +33,7 @@ AnyReplay = Replay | RemoteReplay
 
 def draw_batch(
     replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Generator
-) -> stored.Transitions:
+) -> sampling.Transitions:
     """Draw the batch of an update."""
     return replay.sample(
         hyper.batch_rows,
@@ -70,11 +71,11 @@ class Source(Protocol):
         """Draw discounted returns before the next update, float32 ``[B]``."""
         ...
 
-    def draw(self, updates: int) -> stored.Transitions:
+    def draw(self, updates: int) -> sampling.Transitions:
         """Draw the batch of the next update."""
         ...
 
-    def learned(self, row: stored.Rows, error: Tensor) -> None:
+    def learned(self, row: Rows, error: Tensor) -> None:
         """An update was made of these rows; ``error`` is that of each, ``[B]``."""
         ...
 

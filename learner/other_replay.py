@@ -10,7 +10,8 @@ from torch import Tensor
 from a2s.learner.feed import Arrival, Feed
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay, draw_batch, draw_returns
-from a2s.learner.replay.transitions import Rows, Transitions
+from a2s.learner.replay.ring import Rows
+from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Trainer
 from a2s.protocol.codec import MAX_BYTES, MIB

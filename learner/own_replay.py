@@ -13,10 +13,11 @@ from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import draw_batch, draw_returns
-from a2s.learner.replay import description, directory
+from a2s.learner.replay import directory, files
 from a2s.learner.replay.limiter import Limiter
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.transitions import Rows, Transitions
+from a2s.learner.replay.ring import Rows
+from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
@@ -200,7 +201,7 @@ def _open(
     """Open the replay that is there, given the wanted capacity; else make one."""
     alpha = hyper.priority_exponent
     sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
-    if not (path / description.NAME).exists():
+    if not (path / files.NAME).exists():
         if num_learned:
             logger.warning("replay %s: is not there any more, another is begun", path)
         return directory.create(path, env_id, spaces, alpha=alpha, **sizes)

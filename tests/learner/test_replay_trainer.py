@@ -11,9 +11,8 @@ from segments import segment
 
 from a2s.learner.learner import Learner
 from a2s.learner.make import make_replay_learner
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.learner.run import checkpoint
 from a2s.learner.run.config import assemble
 from a2s.learner.run.metrics import LearnerMetrics

@@ -26,7 +26,7 @@ from a2s.learner.make import make_learner, make_replay_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay
 from a2s.learner.replay import directory
-from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration, RunConfig

@@ -18,7 +18,7 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
-from a2s.learner.replay.record import RECORD_BYTES
+from a2s.learner.replay.index import RECORD_BYTES
 from a2s.learner.replay.replay import Replay
 from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
 from a2s.protocol.fields import Spaces
