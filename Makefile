@@ -9,7 +9,7 @@ ARGS ?=
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-all test-external check format build clean
+.PHONY: help setup train test test-all test-external check format docs build clean
 
 help: ## Show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -49,6 +49,9 @@ check: setup ## Style, types, layers
 format: setup ## Format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: setup ## Write docs/hyperparameters.md from the code
+	$(BIN)/python -m a2s.learner.run.tables > docs/hyperparameters.md
 
 build: setup ## Build wheel and sdist, and try the wheel in an environment of its own
 	$(BIN)/python -m build --outdir dist .

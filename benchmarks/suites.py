@@ -22,15 +22,14 @@ _BEST_OF_K = {
     for act, target in ((4, 1), (1, 4), (1, 10), (10, 4))
 }
 _PARTS = {
-    "no-obs-norm": _off(normalise_obs=False),
-    "loud-rare-obs": _off(quiet_rare_obs=False),
-    "no-return-norm": _off(normalise_return=False, huber_width=1, initial_temperature=0.1),
+    "no-obs-norm": _off(norm_obs=False),
+    "no-return-norm": _off(norm_return=False, kappa=1, initial_temperature=0.1),
     "no-layer-norm": _off(layer_norm=False),
     "mlp": _off(network="mlp"),
-    "one-value": _off(quantiles=1, dropped_quantiles=0),
+    "one-value": _off(num_quantiles=1, quantiles_to_drop=0),
     "act-hard": _off(selection="hard"),
     "n-step-3": _off(n_step=3),
-    "two-updates": _off(updates_per_step=2),
+    "two-updates": _off(utd_ratio=2),
     "trunk": _off(network="trunk"),
     "tau-0.005": _off(tau=0.005),
 }
@@ -43,7 +42,7 @@ LABELS: dict[str, tuple[str, ...]] = {
     "k4": ("--suggestions", "4"),
     "hard": ("--set", "selection=hard"),
     "eq6": ("--set", "distil=separate"),  # the results are of `joint`, which is gone
-    "temperature-1": ("--set", "temperature=1"),
+    "temperature-1": ("--set", "selection_temperature=1"),
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "off-policy-k1": _off(act_suggestions=1),

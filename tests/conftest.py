@@ -15,8 +15,8 @@ import pytest
 import torch
 
 from a2s.learner.export.on_policy import export
-from a2s.learner.on_policy import presets
 from a2s.learner.on_policy.update import OnPolicy
+from a2s.learner.run.config import on_policy
 from a2s.protocol.messages import Notice
 
 PLUGIN = Path(__file__).parent / "plugin"
@@ -47,7 +47,7 @@ def make_graph() -> MakeGraph:
         high: tuple[float, ...] = (3.0, 0.75),
         **overrides: object,
     ) -> bytes:
-        hyper = presets.on_policy("modern", "a2s", {"warm_up": "none", **overrides})
+        hyper = on_policy("modern", "a2s", {"warm_up": "none", **overrides})
         algorithm = OnPolicy(obs_size, len(low), hyper, seed=0)
         suggester = algorithm.suggester(torch.tensor(low), torch.tensor(high))
         return export(suggester, 3, {"env": "a2s_test_envs:Count-v0"})

@@ -28,16 +28,7 @@ def forward(
 ) -> None:  # fmt: skip
     """Fill ``out [E, N, W]`` and ``stats [2, E, N]``: mean and one over the deviation.
 
-    Args:
-        x: ``[E, N, W]``.
-        gain: ``[E, 1, W]``.
-        offset: ``[E, 1, W]``.
-        bias: Added before, ``[E, 1, W]``, if there is any.
-        has_bias: Whether there is.
-        relu: Whether to cut at 0.
-        eps: Added to the variance.
-        out: Written.
-        stats: Written.
+    ``bias`` is added before; it, gain and offset are ``[E, 1, W]``.
     """
     members, rows, width = x.shape
     row, shift = np.empty(width, _F), np.zeros(width, _F)
@@ -70,20 +61,7 @@ def backward(  # noqa: C901 - its loops are the branches
 ) -> None:  # fmt: skip
     """Fill ``by_input [E, N, W]`` and, if wanted, the gradients by the parameters.
 
-    Args:
-        grad: By ``out``, ``[E, N, W]``.
-        x: As given to `forward`.
-        out: From `forward`.
-        stats: From `forward`.
-        gain: As given to `forward`.
-        bias: As given to `forward`.
-        has_bias: As given to `forward`.
-        relu: As given to `forward`.
-        wanted: Whether the last three are written, ``by_bias`` only if there is a bias.
-        by_input: Written.
-        by_gain: ``[E, 1, W]``.
-        by_offset: ``[E, 1, W]``.
-        by_bias: ``[E, 1, W]``.
+    ``grad`` is the gradient by ``out``. ``by_bias`` is written only if there is a bias.
     """
     members, rows, width = x.shape
     row, by_out, shift = np.empty(width, _F), np.empty(width, _F), np.zeros(width, _F)

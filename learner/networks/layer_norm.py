@@ -1,126 +1,115 @@
-"""Layer normalisation of several members' rows, with gain, offset and max(x, 0), and its gradient.
+"""Layer normalisation with gain and offset, and its gradient.
 
-On a processor compiled kernels make it in one pass (docs/adr/0007); elsewhere, and in float64,
-torch's do.
+In relu networks on a CPU compiled kernels make it in one pass, with the bias before and the cut at
+0 after it (docs/adr/0007); elsewhere, and in float64, torch's kernels do. torch's own gradient by
+gain and offset is not used: it takes one member at a time.
 """
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
 import torch
+import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
+from a2s.learner.networks.layers import sum_rows
+from a2s.learner.networks.weights import Weights
 from a2s.protocol.fields import Array
 
 LAYER_NORM_EPS = 1e-5
 _aten = torch.ops.aten
 
 
-@dataclasses.dataclass(frozen=True)
-class Affine:
-    """Parameters, or the gradients by them: float32 unless what is normalised is float64.
+class _Compiled(NamedTuple):
+    """Input, output and ``[2, E, N]``, mean and one over the deviation: what the kernels keep."""
 
-    Args:
-        gain: ``[E, 1, W]``.
-        offset: ``[E, 1, W]``.
-        bias: Added before normalisation, ``[E, 1, W]``, or ``None``.
-    """
-
-    gain: Tensor
-    offset: Tensor
-    bias: Tensor | None
-
-    @functools.cached_property
-    def arrays(self) -> tuple[Array, Array, Array]:
-        """All three in the same memory; where there is no bias the gain, which nothing reads."""
-        gain = self.gain.numpy()
-        return gain, self.offset.numpy(), gain if self.bias is None else self.bias.numpy()
+    x: Array
+    out: Array
+    stats: Array
 
 
-class Normed(NamedTuple):
-    """What the gradient needs of one pass.
-
-    Attributes:
-        x: What was given, ``[E, N, W]``.
-        out: What came out, ``[E, N, W]``.
-        stats: Mean of each row, and one over its standard deviation, ``[2, E, N]``.
-        arrays: The same three as arrays, if the kernels made them.
-    """
+class _Normed(NamedTuple):
+    """What torch's kernels keep; ``normal`` lacks gain and offset."""
 
     x: Tensor
+    normal: Tensor
+    mean: Tensor
+    rstd: Tensor
     out: Tensor
-    stats: Tensor
-    arrays: tuple[Array, Array, Array] | None
 
 
-def layer_norm(x: Tensor, affine: Affine, *, relu: bool) -> Normed:
-    """Normalise over the last dimension.
+class Norm:
+    """Layer normalisation over the last dimension.
 
     Args:
-        x: ``[E, N, W]``, of any precision.
-        affine: Parameters.
+        index: Number of gain and offset.
+        bias: Number of the bias that the Linear below leaves to this layer, if it does.
         relu: Whether to cut at 0.
+        compiled: Whether the kernels may do it; they take members, on a CPU, not in float64.
     """
-    x = x.contiguous()
-    if _is_compiled(x):
-        out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
-        arrays = _raw(x), _raw(out), stats.numpy()
-        has_bias = affine.bias is not None
-        _kernels().forward(arrays[0], *affine.arrays, has_bias, relu, LAYER_NORM_EPS, *arrays[1:])
-        return Normed(x, out, stats, arrays)
-    made = [
-        torch.native_layer_norm(rows, rows.shape[-1:], gain[0], offset[0], LAYER_NORM_EPS)
-        for rows, gain, offset in zip(_biased(x, affine), affine.gain, affine.offset, strict=True)
-    ]
-    out, mean, rstd = (torch.stack(part) for part in zip(*made, strict=True))
-    out = (out.relu_() if relu else out).to(x.dtype)
-    return Normed(x, out, torch.stack([mean, rstd]).squeeze(-1), None)
 
+    def __init__(
+        self, index: int, *, bias: int | None = None, relu: bool = False, compiled: bool
+    ) -> None:
+        self.index = index
+        self.bias = bias
+        self.relu = relu
+        self.compiled = compiled
 
-def layer_norm_back(
-    normed: Normed, grad: Tensor, affine: Affine, *, relu: bool, into: Affine | None
-) -> Tensor:
-    """Turn the gradient by the output, ``[E, N, W]``, into that by the input.
+    def forward(self, weights: Weights, x: Tensor, tape: list[Any] | None) -> Tensor:
+        """Normalise, ``[E, N, W]`` or ``[N, W]``, of any precision."""
+        affine, x = weights.norms[self.index], x.contiguous()
+        if self.compiled and x.dim() == 3 and x.is_cpu and x.dtype != torch.float64:
+            out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
+            kept = _Compiled(_raw(x), _raw(out), stats.numpy())
+            has_bias = affine.bias is not None
+            _kernels().forward(
+                kept.x, *affine.arrays, has_bias, self.relu, LAYER_NORM_EPS, kept.out, kept.stats
+            )
+            if tape is not None:
+                tape.append(kept)
+            return out
+        rows = x.to(affine.gain.dtype)
+        if affine.bias is not None:
+            rows = rows + affine.bias
+        width = rows.shape[-1:]
+        if tape is None and x.dim() == 2 and not self.relu:
+            return F.layer_norm(rows, width, affine.gain, affine.offset, LAYER_NORM_EPS)
+        normal, mean, rstd = torch.native_layer_norm(rows, width, None, None, LAYER_NORM_EPS)
+        out = torch.addcmul(affine.offset, normal, affine.gain)
+        out = (out.relu_() if self.relu else out).to(x.dtype)
+        if tape is not None:
+            tape.append(_Normed(rows, normal, mean, rstd, out))
+        return out
 
-    Args:
-        normed: From `layer_norm`.
-        grad: ``[E, N, W]``, as precise as the input.
-        affine: As given to `layer_norm`.
-        relu: As given to `layer_norm`.
-        into: Where the gradients by the parameters are written; ``None``: they are not wanted.
-    """
-    grad = grad.contiguous()
-    if normed.arrays is not None:
-        through = torch.empty_like(grad)
-        gain, _, bias = affine.arrays
-        _kernels().backward(
-            _raw(grad), *normed.arrays, gain, bias, affine.bias is not None, relu,
-            into is not None, _raw(through), *(into or affine).arrays,
-        )  # fmt: skip
-        return through
-    if relu:
-        grad = _aten.threshold_backward(grad, normed.out, 0)
-    mean, rstd = normed.stats.unsqueeze(-1)
-    parts = (grad.to(mean.dtype), _biased(normed.x, affine), mean, rstd, affine.gain)
-    made = [
-        _aten.native_layer_norm_backward(
-            by_out, rows, rows.shape[-1:], m, r, gain[0], gain[0], [True, True, True]
-        )
-        for by_out, rows, m, r, gain in zip(*parts, strict=True)
-    ]
-    through, by_gain, by_offset = (torch.stack(part) for part in zip(*made, strict=True))
-    if into is not None:
-        into.gain.copy_(by_gain.unsqueeze(1))
-        into.offset.copy_(by_offset.unsqueeze(1))
-        if into.bias is not None:
-            into.bias.copy_(through.sum(1, keepdim=True))
-    return through.to(grad.dtype)
-
-
-def _biased(x: Tensor, affine: Affine) -> Tensor:
-    x = x.to(affine.gain.dtype)
-    return x if affine.bias is None else x + affine.bias
+    def backward(
+        self, weights: Weights, grads: Weights | None, kept: _Compiled | _Normed, grad: Tensor
+    ) -> Tensor:
+        """Go through the normalisation; the precision stays."""
+        affine = weights.norms[self.index]
+        into = None if grads is None else grads.norms[self.index]
+        if isinstance(kept, _Compiled):
+            grad = grad.contiguous()
+            into_x = torch.empty_like(grad)
+            gain, _, bias = affine.arrays
+            _kernels().backward(
+                _raw(grad), *kept, gain, bias, affine.bias is not None, self.relu,
+                into is not None, _raw(into_x), *(into or affine).arrays,
+            )  # fmt: skip
+            return into_x
+        if self.relu:
+            grad = _aten.threshold_backward(grad, kept.out, 0)
+        kind, grad = grad.dtype, grad.to(affine.gain.dtype)
+        if into is not None:
+            sum_rows(grad * kept.normal, into.gain)
+            sum_rows(grad, into.offset)
+        through: Tensor = _aten.native_layer_norm_backward(
+            grad * affine.gain, kept.x, grad.shape[-1:], kept.mean, kept.rstd, None, None,
+            [True, False, False],
+        )[0]  # fmt: skip
+        if into is not None and into.bias is not None:
+            sum_rows(through, into.bias)
+        return through.to(kind)
 
 
 @functools.cache
@@ -128,10 +117,6 @@ def _kernels() -> Any:
     from a2s.learner.networks import kernels  # half a second: only who needs it
 
     return kernels
-
-
-def _is_compiled(x: Tensor) -> bool:
-    return x.is_cpu and x.dtype != torch.float64
 
 
 def _raw(x: Tensor) -> Array:

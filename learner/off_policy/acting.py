@@ -6,12 +6,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.ensemble import Ensemble, Form, score_many
-from a2s.learner.networks.layers import Weights, run
-from a2s.learner.networks.networks import Normaliser
-from a2s.learner.off_policy.squashed import draw_several, gaussian, log_density
+from a2s.learner.networks.acting import ActionBounds, Choice
+from a2s.learner.networks.ensemble import Ensemble, score_many
+from a2s.learner.networks.gaussian import log_density
+from a2s.learner.networks.layers import run
+from a2s.learner.networks.normaliser import Normaliser
+from a2s.learner.off_policy.squashed import draw_several, gaussian
 from a2s.learner.off_policy.targets import pick_best
-from a2s.learner.on_policy.acting import Choice
 
 OffPolicySuggesterMode = Literal["uniform", "first", "hard", "soft"]
 
@@ -62,8 +63,7 @@ class OffPolicySuggester:
         self.normaliser = normaliser
         self.policy = policy
         self.critics = critics
-        self.action_low = action_low.float()
-        self.action_high = action_high.float()
+        self.bounds = ActionBounds(action_low, action_high)
         self.mode: OffPolicySuggesterMode = mode
         self.suggestions = suggestions
         self.temperature = temperature
@@ -83,15 +83,15 @@ class OffPolicySuggester:
         if self.mode == "uniform":
             suggestion = torch.erf(normal[:, 0] * math.sqrt(0.5))
             log_prob = torch.full_like(q_spread, -math.log(2.0) * suggestion.shape[1])
-            return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
-        seen = self.normaliser(obs)
-        form, weights = _in_float32(self.policy)
-        policy = gaussian(run(form.layers, weights, seen.unsqueeze(0))[0][0])
+            return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
+        norm_obs = self.normaliser(obs)
+        output = run(self.policy.form.layers, self.policy.exact, norm_obs.unsqueeze(0))
+        policy = gaussian(output[0])
         u = draw_several(policy, normal)
-        log_prob = log_density(u, normal, policy.log_std.unsqueeze(1))
+        log_prob = log_density(normal, policy.log_std.unsqueeze(1), u)
         if self.mode == "first":
             return self._choice(u.squeeze(1), log_prob.squeeze(1), q_spread)
-        score = self.score(seen, u.tanh())
+        score = self.score(norm_obs, u.tanh())
         q_spread = score.amax(1) - score.mean(1)
         if self.mode == "soft":
             if gumbel is None:
@@ -105,27 +105,16 @@ class OffPolicySuggester:
 
     def _choice(self, u: Tensor, log_prob: Tensor, q_spread: Tensor) -> Choice:
         suggestion = u.tanh()
-        return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
+        return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
 
-    def score(self, seen: Tensor, action: Tensor) -> Tensor:
+    def score(self, norm_obs: Tensor, action: Tensor) -> Tensor:
         """Means of the critics, in returns, of normalised and canonical: ``[B, K]``.
 
         Args:
-            seen: ``[B, D]``.
+            norm_obs: ``[B, D]``.
             action: ``[B, K, A]``.
         """
-        form, weights = _in_float32(self.critics)
-        shared = action.expand(self.critics.members, *action.shape)
-        q_value = score_many(form, weights, seen, shared).mean(-1) * self.return_size
+        critics = self.critics
+        shared = action.expand(critics.members, *action.shape)
+        q_value = score_many(critics.form, critics.exact, norm_obs, shared) * self.return_size
         return q_value.mean(0)
-
-    def to_env(self, suggestion: Tensor) -> Tensor:
-        """Canonical suggestions in the environment's units, within its bounds: ``[B, A]``."""
-        half = (self.action_high - self.action_low) / 2
-        centre = (self.action_high + self.action_low) / 2
-        return (suggestion * half + centre).clamp(self.action_low, self.action_high)
-
-
-def _in_float32(ensemble: Ensemble) -> tuple[Form, Weights]:
-    weights = ensemble.weights
-    return ensemble.form, weights._replace(product=weights.full)

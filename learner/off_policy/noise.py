@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
 
 
 class Noise(NamedTuple):
@@ -28,11 +28,11 @@ class Noise(NamedTuple):
 
 
 def draw_noise(
-    rows: int, action_size: int, hyper: OffPolicyHyper, generator: torch.Generator
+    rows: int, action_size: int, hyper: OffPolicyConfig, generator: torch.Generator
 ) -> Noise:
     """Draw the noise of an update of B = ``rows`` rows."""
     groups = hyper.target_groups
-    several = hyper.distil_suggestions if hyper.policy_loss == "score" else 0
+    several = max(2, hyper.act_suggestions) if hyper.policy_loss == "score" else 0
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(shape, generator=generator)
@@ -41,5 +41,5 @@ def draw_noise(
         suggestion=normal(rows, action_size),
         target=normal(groups, rows, hyper.target_suggestions, action_size),
         distil=normal(rows, several, action_size),
-        critic=torch.randint(hyper.critics, (groups + 1,), generator=generator),
+        critic=torch.randint(hyper.num_critics, (groups + 1,), generator=generator),
     )

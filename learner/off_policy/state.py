@@ -3,15 +3,16 @@
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.ensemble import Ensemble, Form
-from a2s.learner.networks.fused_adam import FusedAdam
-from a2s.learner.networks.networks import Normaliser
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.form import Form
+from a2s.learner.networks.normaliser import Normaliser
+from a2s.learner.networks.stored import check_tensors
+from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.return_size import ReturnSize
-from a2s.learner.on_policy.state import check_tensors
 
 
-class OffPolicyLearned:
+class TrainState:
     """Networks, their optimisers, the temperature and the normalisers.
 
     Args:
@@ -36,41 +37,42 @@ class OffPolicyLearned:
         self,
         obs_size: int,
         action_size: int,
-        hyper: OffPolicyHyper,
+        hyper: OffPolicyConfig,
         generator: torch.Generator,
         device: torch.device,
     ) -> None:
         def make(sizes: tuple[int, ...], members: int, late: int = 0) -> Ensemble:
-            form = Form(sizes, network=hyper.network, layer_norm=hyper.layer_norm, late=late)
+            form = Form(
+                sizes,
+                network=hyper.network,
+                activation="relu",
+                layer_norm=hyper.layer_norm,
+                late=late,
+            )
             first = form.draw(members, generator).to(device)
-            return Ensemble(form, first, precision=hyper.precision)
+            return Ensemble(form, first, bf16=hyper.precision == "bf16")
 
-        self.normaliser = Normaliser(
-            obs_size, enabled=hyper.normalise_obs, quiets_rare=hyper.quiet_rare_obs
-        ).to(device)
-        self.return_size = ReturnSize(enabled=hyper.normalise_return, device=device)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs, quiets_rare=True).to(device)
+        self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
-        sizes = (joined, *hyper.critic_sizes, hyper.quantiles)
-        self.critics = make(sizes, hyper.critics, late=action_size)
+        sizes = (joined, *hyper.critic_sizes, hyper.num_quantiles)
+        self.critics = make(sizes, hyper.num_critics, late=action_size)
         self.targets = self.critics.copy()
         self._average_updates = hyper.average_updates
         self.average = self.policy
         if hyper.average_updates:
             first = self.policy.value.clone()
-            self.average = Ensemble(self.policy.form, first, precision="f32")
+            self.average = Ensemble(self.policy.form, first)
         self.log_temperature = torch.tensor(hyper.initial_temperature, device=device).log()
         self.learns_temperature = hyper.temperature_learning_rate > 0
-        rates = {
-            "policy": (self.policy.value, hyper.learning_rate),
-            "critics": (self.critics.value, hyper.critic_learning_rate),
-            "temperature": (self.log_temperature, hyper.temperature_learning_rate),
-        }
         self.adam = {
-            name: FusedAdam(value, learning_rate=rate) for name, (value, rate) in rates.items()
+            "policy": Adam(self.policy.value),
+            "critics": Adam(self.critics.value),
+            "temperature": Adam(self.log_temperature),
         }
 
-    def follow(self) -> None:
+    def update_average(self) -> None:
         """Move the average towards the policy.
 
         It reaches back over a tenth of the updates so far, so that the first ones do not last.

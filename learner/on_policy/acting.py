@@ -1,13 +1,15 @@
 """Acting, from observation to action in the environment's units, as one module."""
 
-import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from a2s.learner.networks.networks import Normaliser, Policy, Q
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.networks.acting import ActionBounds, Choice
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.gaussian import Policy, log_density
+from a2s.learner.networks.normaliser import Normaliser
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.suggestion import (
     as_q_sees,
     log_preference,
@@ -21,24 +23,7 @@ from a2s.learner.on_policy.suggestion import (
 SuggesterMode = Literal["first", "hard", "soft"]
 
 
-class Choice(NamedTuple):
-    """What a suggester answers.
-
-    Attributes:
-        action: In the environment's units and within its bounds, float32 ``[B, A]``.
-        suggestion: The chosen one, canonical, before clipping, float32 ``[B, A]``.
-        log_prob: Its log density as executed, float32 ``[B]``: under the policy, and in the mode
-            ``soft`` also by the selection, see `log_preference`.
-        q_spread: Largest score less the mean over the K suggestions, in returns, float32 ``[B]``.
-    """
-
-    action: Tensor
-    suggestion: Tensor
-    log_prob: Tensor
-    q_spread: Tensor
-
-
-class Suggester(nn.Module):
+class Suggester:
     """Normaliser, policy, K suggestions, Q, selection and action bounds.
 
     It holds the networks it is given, not copies. One suggester serves every way of acting by
@@ -64,15 +49,12 @@ class Suggester(nn.Module):
         q_scale: Returns in one unit of Q's output.
     """
 
-    action_low: Tensor
-    action_high: Tensor
-
     def __init__(
         self,
         *,
         normaliser: Normaliser,
         policy: Policy,
-        q_net: Q | None,
+        q_net: Ensemble | None,
         action_low: Tensor,
         action_high: Tensor,
         mode: SuggesterMode,
@@ -81,7 +63,6 @@ class Suggester(nn.Module):
         action_mode: ActionMode = "clip",
         q_scale: float = 1.0,
     ) -> None:
-        super().__init__()
         if (q_net is None) != (mode == "first") or (mode == "first" and suggestions != 1):
             raise ValueError(f"mode {mode}, K {suggestions}: only mode 'first' has no Q, and K 1")
         self.normaliser = normaliser
@@ -92,10 +73,9 @@ class Suggester(nn.Module):
         self.temperature = temperature
         self.action_mode: ActionMode = action_mode
         self.q_scale = q_scale
-        self.register_buffer("action_low", action_low.float())
-        self.register_buffer("action_high", action_high.float())
+        self.bounds = ActionBounds(action_low, action_high)
 
-    def forward(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
+    def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
         """Choose actions.
 
         Args:
@@ -120,12 +100,5 @@ class Suggester(nn.Module):
                 index = select_soft(q_value, gumbel, self.temperature)
                 preference = log_preference(q_value, index, self.temperature)
         suggestion, noise = take(candidates, index), take(normal, index)
-        density = self.policy.log_std.sum() + 0.5 * math.log(2 * math.pi) * noise.shape[1]
-        log_prob = -0.5 * noise.square().sum(1) - density + preference
-        return Choice(self.to_env(suggestion), suggestion, log_prob, q_spread)
-
-    def to_env(self, suggestion: Tensor) -> Tensor:
-        """Canonical suggestions in the environment's units, within its bounds: ``[B, A]``."""
-        half = (self.action_high - self.action_low) / 2
-        centre = (self.action_high + self.action_low) / 2
-        return (suggestion * half + centre).clamp(self.action_low, self.action_high)
+        log_prob = log_density(noise, self.policy.log_std) + preference
+        return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.fit import Regression, fit_epochs, fit_threshold, num_chunks
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
 from a2s.learner.on_policy.state import Learned
 from a2s.learner.on_policy.targets import q_input
 
@@ -26,7 +26,7 @@ def fit_critics(
     seen: Tensor,
     target: Tensor,
     learned: Learned,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     *,
     learning_rate: float,
     order: torch.Generator,
@@ -48,11 +48,11 @@ def fit_critics(
     """
     learned.returns.update(target)
     wanted = learned.returns.normalise(target)
-    value = Regression(body=learned.value_net.body, inputs=seen, optimiser=learned.adam["value"])
+    value = Regression(network=learned.value_net, inputs=seen, optimiser=learned.adam["value"])
     jobs = [value]
     if hyper.uses_q:
         inputs = q_input(batch, seen, hyper)
-        jobs.append(Regression(body=learned.q_net.body, inputs=inputs, optimiser=learned.adam["q"]))
+        jobs.append(Regression(network=learned.q_net, inputs=inputs, optimiser=learned.adam["q"]))
     if hyper.fit_rule == "epochs":
         return _by_epochs(jobs, wanted, hyper, learning_rate, order)
     value_loss, value_steps = _by_threshold(
@@ -69,7 +69,7 @@ def fit_critics(
 def _by_epochs(
     jobs: list[Regression],
     target: Tensor,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     learning_rate: float,
     generator: torch.Generator,
 ) -> Fits:
@@ -78,12 +78,12 @@ def _by_epochs(
         target,
         epochs=hyper.critic_epochs,
         minibatch=hyper.critic_minibatch,
-        least_minibatches=hyper.least_minibatches,
+        min_minibatches=hyper.min_minibatches,
         learning_rate=learning_rate,
         max_grad_norm=hyper.max_grad_norm,
         generator=generator,
     )
-    chunks = num_chunks(len(target), hyper.critic_minibatch, hyper.least_minibatches)
+    chunks = num_chunks(len(target), hyper.critic_minibatch, hyper.min_minibatches)
     steps = hyper.critic_epochs * chunks
     if len(jobs) == 1:
         return Fits(value_loss=losses[0], value_steps=steps)
@@ -94,7 +94,7 @@ def _by_threshold(
     job: Regression,
     target: Tensor,
     learned: Learned,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     extra_steps: int,
     learning_rate: float,
     generator: torch.Generator,

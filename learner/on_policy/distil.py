@@ -10,16 +10,17 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.networks import Policy, Q
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.gaussian import Policy
+from a2s.learner.on_policy.config import ActionMode
 from a2s.learner.on_policy.step_size import gaussian_kl
 from a2s.learner.on_policy.suggestion import as_q_sees, suggest
 
 ROWS_PER_CALL = 1024
 
 
-def score_in_parts(q_net: Q, obs: Tensor, action: Tensor) -> Tensor:
-    """Score as `Q.score` does, ``[N, D]``, ``[N, K, A]`` to ``[N, K]``, a cacheful at a time."""
+def score_in_parts(q_net: Ensemble, obs: Tensor, action: Tensor) -> Tensor:
+    """Score as `Ensemble.score`, ``[N, D]``, ``[N, K, A]`` to ``[N, K]``, a cacheful at a time."""
     parts = math.ceil(action.shape[0] * action.shape[1] / ROWS_PER_CALL)
     scores = [
         q_net.score(some_obs, some_action)
@@ -30,7 +31,7 @@ def score_in_parts(q_net: Q, obs: Tensor, action: Tensor) -> Tensor:
 
 @torch.no_grad()
 def distil_target(
-    q_net: Q,
+    q_net: Ensemble,
     obs: Tensor,
     mean: Tensor,
     std: Tensor,
@@ -108,19 +109,19 @@ def distil_policy(
     Returns:
         Mean loss, and steps made.
     """
-    log_std = policy.log_std.detach().clone()
+    log_std = policy.log_std.clone()
     with torch.no_grad():
         before = policy(obs)
     total, made = 0.0, 0
     for _ in range(steps):
         rows = torch.randint(len(obs), (minibatch,), generator=generator)
-        mean, layers = policy.trace(obs[rows])
+        mean, tape = policy.trace(obs[rows])
         moved = gaussian_kl(mean, log_std, before[rows], log_std).sum(1).mean()
         if float(moved) > kl_bound:
             break
         loss, by_mean = distil_loss(mean, target[rows])
-        policy.differentiate(layers, by_mean, torch.zeros_like(log_std))
-        optimiser.step(learning_rate, max_grad_norm)
+        policy.differentiate(tape, by_mean, torch.zeros_like(log_std))
+        optimiser.step(policy.grad, learning_rate, max_grad_norm)
         total += loss.item()
         made += 1
     return total / max(made, 1), made

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.body import Body
+from a2s.learner.networks.ensemble import Ensemble
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -19,12 +19,12 @@ class Regression:
     """One network to be fitted.
 
     Attributes:
-        body: Its body, which has one output.
+        network: A single one with one output.
         inputs: What it sees, ``[N, in]``.
         optimiser: Of its parameters.
     """
 
-    body: Body
+    network: Ensemble
     inputs: Tensor
     optimiser: Adam
 
@@ -33,10 +33,10 @@ class Regression:
         self, inputs: Tensor, target: Tensor, learning_rate: float, max_grad_norm: float
     ) -> Tensor:
         """Make a step down the mean squared error, and return it."""
-        value, layers = self.body.trace(inputs)
+        value, tape = self.network.trace(inputs)
         error = value.squeeze(-1) - target
-        self.body.differentiate(layers, (error * (2.0 / len(target))).unsqueeze(-1))
-        self.optimiser.step(learning_rate, max_grad_norm)
+        self.network.differentiate(tape, (error * (2.0 / len(target))).unsqueeze(-1))
+        self.optimiser.step(self.network.grad, learning_rate, max_grad_norm)
         return error.square().sum() / len(target)
 
 
@@ -54,7 +54,7 @@ def fit_epochs(
     *,
     epochs: int,
     minibatch: int,
-    least_minibatches: int,
+    min_minibatches: int,
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
@@ -66,7 +66,7 @@ def fit_epochs(
         target: What all of them regress to, ``[N]``.
         epochs: Passes.
         minibatch: Rows of one step, about.
-        least_minibatches: In one pass.
+        min_minibatches: In one pass.
         learning_rate: Of all of them.
         max_grad_norm: Of each of them; 0: not limited.
         generator: Draws the order.
@@ -74,7 +74,7 @@ def fit_epochs(
     Returns:
         Mean loss of each network in the last pass.
     """
-    count = num_chunks(len(target), minibatch, least_minibatches)
+    count = num_chunks(len(target), minibatch, min_minibatches)
     totals = torch.zeros(len(jobs))
     for _ in range(epochs):
         order = torch.randperm(len(target), generator=generator)

@@ -5,15 +5,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.distil import distil_policy, distil_target
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
 from a2s.learner.on_policy.policy_gradient import (
     Improvement,
     PolicyData,
     importance,
     improve,
-    log_density,
     normalised,
 )
 from a2s.learner.on_policy.state import Learned
@@ -40,7 +40,7 @@ class PolicyUpdate(NamedTuple):
 def policy_now(learned: Learned, obs: Tensor) -> PolicyNow:
     """Keep the present policy on a batch: observations as the environment gave them."""
     policy = learned.policy
-    return PolicyNow(policy(learned.normaliser(obs)), policy.log_std.detach().clone())
+    return PolicyNow(policy(learned.normaliser(obs)), policy.log_std.clone())
 
 
 def update_policy(
@@ -49,7 +49,7 @@ def update_policy(
     evidence: Evidence,
     collected: PolicyNow,
     learned: Learned,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     *,
     distil: bool,
     learning_rate: float,
@@ -85,7 +85,8 @@ def update_policy(
             generator=q_order,
         )
     advantage = _advantage(batch, seen, evidence, learned, hyper)
-    log_prob = log_density(collected.mean, collected.log_std, batch.suggestion)
+    normal = (batch.suggestion - collected.mean) * (-collected.log_std).exp()
+    log_prob = log_density(normal, collected.log_std)
     weight = importance(log_prob, batch.log_prob, hyper.weight_limit)
     if hyper.kl_scope == "policy-gradient":
         collected = policy_now(learned, batch.obs)
@@ -93,7 +94,7 @@ def update_policy(
         obs=seen,
         action=batch.suggestion,
         log_prob=log_prob,
-        advantage=normalised(advantage, weight) if hyper.normalise_advantage else advantage,
+        advantage=normalised(advantage, weight) if hyper.norm_advantage else advantage,
         weight=weight,
         mean=collected.mean,
         log_std=collected.log_std,
@@ -112,7 +113,7 @@ def update_policy(
 
 @torch.no_grad()
 def _goal(
-    seen: Tensor, learned: Learned, hyper: OnPolicyHyper, generator: torch.Generator
+    seen: Tensor, learned: Learned, hyper: OnPolicyConfig, generator: torch.Generator
 ) -> Tensor:
     return distil_target(
         learned.q_net,
@@ -128,11 +129,10 @@ def _goal(
 
 @torch.no_grad()
 def _advantage(
-    batch: Batch, seen: Tensor, evidence: Evidence, learned: Learned, hyper: OnPolicyHyper
+    batch: Batch, seen: Tensor, evidence: Evidence, learned: Learned, hyper: OnPolicyConfig
 ) -> Tensor:
     """What each executed suggestion is worth beyond the value of its state, in returns, ``[N]``."""
     if hyper.advantage != "q-v":
         return evidence.advantage
     q_value = learned.q_net(q_input(batch, seen, hyper))
-    advantage: Tensor = (q_value - learned.value_net(seen)) * learned.returns.std
-    return advantage
+    return (q_value - learned.value_net(seen)).squeeze(1) * learned.returns.std

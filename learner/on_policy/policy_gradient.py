@@ -1,6 +1,5 @@
 """The policy gradient: advantages, losses, and the passes over the batch."""
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,13 +7,12 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.networks import Policy
+from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy, log_density
+from a2s.learner.on_policy.config import OnPolicyConfig, PolicyLoss
 from a2s.learner.on_policy.fit import num_chunks
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper, PolicyLoss
 from a2s.learner.on_policy.returns import RESOLUTION
 from a2s.learner.on_policy.step_size import gaussian_kl
 
-HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 # Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
 LEAST_WEIGHT, MOST_LOG_RATIO = 1e-30, 20.0
 
@@ -48,12 +46,6 @@ class Improvement(NamedTuple):
     policy_loss: float
     epochs: int
     kl: float
-
-
-def log_density(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
-    """Log density of a diagonal Gaussian: ``[M, A]``, ``[A]``, ``[M, A]`` to ``[M]``."""
-    z = (action - mean) * (-log_std).exp()
-    return -0.5 * z.square().sum(1) - (log_std + HALF_LOG_2PI).sum()
 
 
 def entropy(log_std: Tensor) -> Tensor:
@@ -135,7 +127,7 @@ def improve(
     policy: Policy,
     optimiser: Adam,
     data: PolicyData,
-    hyper: OnPolicyHyper,
+    hyper: OnPolicyConfig,
     *,
     learning_rate: float,
     generator: torch.Generator,
@@ -150,16 +142,16 @@ def improve(
         learning_rate: Of Adam.
         generator: Draws the order, unless the whole batch is one step.
     """
-    count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.least_minibatches)
+    count = num_chunks(len(data.obs), hyper.policy_minibatch, hyper.min_minibatches)
     total, kl, passes = torch.zeros(()), 0.0, 0
     while passes < hyper.policy_epochs and kl <= hyper.kl_stop:
         passes += 1
         total.zero_()
         for part in _minibatches(data, count, generator):
-            mean, layers = policy.trace(part.obs)
+            mean, tape = policy.trace(part.obs)
             loss, by_mean, by_log_std = differentiate(mean, policy.log_std, part, hyper)
-            policy.differentiate(layers, by_mean, by_log_std)
-            optimiser.step(learning_rate, hyper.max_grad_norm)
+            policy.differentiate(tape, by_mean, by_log_std)
+            optimiser.step(policy.grad, learning_rate, hyper.max_grad_norm)
             policy.hold_floor()
             total += loss
         kl = joint_kl(policy, data)
@@ -168,7 +160,7 @@ def improve(
 
 @torch.no_grad()
 def differentiate(
-    mean: Tensor, log_std: Tensor, part: PolicyData, hyper: OnPolicyHyper
+    mean: Tensor, log_std: Tensor, part: PolicyData, hyper: OnPolicyConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What a policy loses on some data, and how that changes with the policy.
 
@@ -184,13 +176,12 @@ def differentiate(
     """
     factor = (-log_std).exp()
     z = (part.action - mean) * factor
-    square = z.square()
-    log_prob = -0.5 * square.sum(1) - (log_std + HALF_LOG_2PI).sum()
+    log_prob = log_density(z, log_std)
     loss, slope = policy_loss(
         hyper.policy_loss, log_prob, part.log_prob, part.advantage, part.weight, hyper.clip_ratio
     )
     steep = slope.unsqueeze(1)
-    by_log_std = (steep * square).sum(0) - slope.sum() - hyper.entropy_weight
+    by_log_std = (steep * z.square()).sum(0) - slope.sum() - hyper.entropy_weight
     return loss, steep * z * factor, by_log_std
 
 

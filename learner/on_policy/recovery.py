@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from a2s.learner.on_policy.hyperparameters import RecoveryRule, ReturnStatistic
+from a2s.learner.on_policy.config import RecoveryRule, ReturnStatistic
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

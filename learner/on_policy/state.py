@@ -1,16 +1,18 @@
 """Everything that learning changes and recovery can restore."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.adam import Adam, FlatParameters
-from a2s.learner.networks.networks import Normaliser, Policy, Q, Value
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.form import Form
+from a2s.learner.networks.gaussian import Policy
+from a2s.learner.networks.normaliser import Normaliser
+from a2s.learner.networks.stored import check_tensors
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.returns import ReturnScale
-from a2s.protocol.errors import RunDirectoryError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,38 +43,34 @@ class Learned:
     """
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyHyper, generator: torch.Generator
+        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
     ) -> None:
-        self.normaliser = Normaliser(obs_size, enabled=hyper.normalise_obs)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs)
         self.returns = ReturnScale(
-            enabled=hyper.normalise_return, window_steps=hyper.return_window_steps
+            enabled=hyper.norm_return, window_steps=hyper.return_window_steps
         )
-        self.policy = Policy(obs_size, action_size, hyper, generator)
-        self.value_net = Value(obs_size, hyper, generator)
-        self.q_net = Q(obs_size, action_size, hyper, generator)
+        self.policy = make_policy(obs_size, action_size, hyper, generator)
+        self.value_net = make_critic(obs_size, hyper.value_sizes, hyper, generator)
+        self.q_net = make_critic(obs_size + action_size, hyper.q_sizes, hyper, generator)
         self._flat = {
-            "policy": FlatParameters(self.policy),
-            "value": FlatParameters(self.value_net),
-            "q": FlatParameters(self.q_net),
+            "policy": self.policy.value,
+            "value": self.value_net.value,
+            "q": self.q_net.value,
         }
-        self.adam = {
-            "policy": Adam(self._flat["policy"]),
-            "value": Adam(self._flat["value"]),
-            "q": Adam(self._flat["q"]),
-            "distil": Adam(self._flat["policy"]),
-        }
+        self.adam = {name: Adam(value) for name, value in self._flat.items()}
+        self.adam["distil"] = Adam(self.policy.value)
 
     def is_finite(self) -> bool:
         """Whether every parameter is a number."""
-        return all(bool(torch.isfinite(flat.value).all()) for flat in self._flat.values())
+        return all(bool(torch.isfinite(flat).all()) for flat in self._flat.values())
 
     def capture(self, weights_version: int) -> Snapshot:
         """Copy everything."""
-        tensors = {name: flat.value.clone() for name, flat in self._flat.items()}
+        tensors = {name: flat.clone() for name, flat in self._flat.items()}
         for name, buffer in self.normaliser.named_buffers():
             tensors[f"normaliser.{name}"] = buffer.clone()
         for name, adam in self.adam.items():
-            tensors |= {f"adam.{name}.{key}": value for key, value in adam.state().items()}
+            tensors |= {f"adam.{name}.{key}": each.clone() for key, each in adam.tensors().items()}
         return Snapshot(
             tensors=tensors, returns=self.returns.state(), weights_version=weights_version
         )
@@ -91,31 +89,35 @@ class Learned:
         stored = snapshot.tensors
         check_tensors(stored, self.capture(0).tensors)
         for name, flat in self._flat.items():
-            flat.load(stored[name])
+            flat.copy_(stored[name])
         self.returns.load(snapshot.returns)
         if not everything:
             return
         for name, buffer in self.normaliser.named_buffers():
             buffer.copy_(stored[f"normaliser.{name}"])
         for name, adam in self.adam.items():
-            adam.load({key: stored[f"adam.{name}.{key}"] for key in adam.state()})
+            for key, tensor in adam.tensors().items():
+                tensor.copy_(stored[f"adam.{name}.{key}"])
 
 
-def check_tensors(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
-    """Refuse stored tensors that do not fit.
+def make_policy(
+    obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+) -> Policy:
+    """An untrained policy."""
+    return Policy(
+        (obs_size, *hyper.policy_sizes, action_size),
+        layer_norm=hyper.layer_norm,
+        init=hyper.init,
+        std=hyper.std,
+        std_floor=hyper.std_floor,
+        learns_std=hyper.learn_std,
+        generator=generator,
+    )
 
-    Raises:
-        RunDirectoryError: One is missing or has another shape.
-    """
-    for name, tensor in expected.items():
-        if name not in found:
-            wrong = f"found no tensor {name!r}, expected one"
-        elif found[name].shape != tensor.shape:
-            shapes = f"found shape {list(found[name].shape)}, expected {list(tensor.shape)}"
-            wrong = f"{name}: {shapes}"
-        else:
-            continue
-        raise RunDirectoryError(
-            f"learner state: {wrong}; it is of other hyperparameters or of another version of a2s: "
-            "begin a new run"
-        )
+
+def make_critic(
+    inputs: int, hidden: tuple[int, ...], hyper: OnPolicyConfig, generator: torch.Generator
+) -> Ensemble:
+    """An untrained Q or V, ``[N, in]`` to ``[N, 1]``, in normalised returns."""
+    form = Form((inputs, *hidden, 1), activation="tanh", layer_norm=hyper.layer_norm)
+    return Ensemble(form, form.draw(1, generator, init=hyper.init), single=True)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 
 FACTOR = 1.5
 
@@ -36,7 +36,7 @@ class StepSize:
     a desired value"), factors as in the authors' code; differs: clamped.
     """
 
-    def __init__(self, hyper: OnPolicyHyper) -> None:
+    def __init__(self, hyper: OnPolicyConfig) -> None:
         self._hyper = hyper
         self._learning_rate = hyper.learning_rate
         self.kl_target = hyper.kl_target

@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from a2s.learner.on_policy.hyperparameters import ActionMode
+from a2s.learner.on_policy.config import ActionMode
 from a2s.protocol.errors import A2SError
 
 SPREAD_EPS = 1e-6

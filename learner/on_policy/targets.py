@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.on_policy.batch import Batch
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.returns import (
     bootstrap,
     correlation,
@@ -39,16 +39,16 @@ class Evidence:
     value_explained_variance: float
 
 
-def q_input(batch: Batch, seen: Tensor, hyper: OnPolicyHyper) -> Tensor:
+def q_input(batch: Batch, seen: Tensor, hyper: OnPolicyConfig) -> Tensor:
     """Normalised observations ``[N, D]`` joined with the executed actions: ``[N, D + A]``."""
     return torch.cat([seen, as_q_sees(batch.suggestion, hyper.action_mode)], 1)
 
 
 @torch.no_grad()
-def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyHyper) -> Evidence:
+def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyConfig) -> Evidence:
     """Estimate advantages and targets with V as it is before its update."""
     seen = learned.normaliser(torch.cat([batch.obs, batch.final_obs]))
-    values = learned.returns.restore(learned.value_net(seen))
+    values = learned.returns.restore(learned.value_net(seen).squeeze(1))
     value, final_value = values[: batch.num_steps], values[batch.num_steps :]
     after = bootstrap(batch, final_value, time_limit_is_terminal=hyper.time_limit_is_terminal)
     lam = 1.0 if hyper.advantage == "return-v" else hyper.gae_lambda
@@ -57,7 +57,7 @@ def gather_evidence(batch: Batch, learned: Learned, hyper: OnPolicyHyper) -> Evi
         _, target = lambda_estimates(batch, value, after, gamma=hyper.gamma, lam=hyper.gae_lambda)
     q_variance = q_correlation = 0.0
     if hyper.uses_q:
-        q_value = learned.q_net(q_input(batch, seen[: batch.num_steps], hyper))
+        q_value = learned.q_net(q_input(batch, seen[: batch.num_steps], hyper)).squeeze(1)
         q_value = learned.returns.restore(q_value)
         q_variance = explained_variance(q_value, target)
         q_correlation = correlation(q_value - value, target - value)

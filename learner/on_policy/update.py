@@ -10,14 +10,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.stored import check_tensors
 from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.critics import Fits, fit_critics
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
 from a2s.learner.on_policy.policy import PolicyUpdate, policy_now, update_policy
 from a2s.learner.on_policy.policy_gradient import entropy
 from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
-from a2s.learner.on_policy.state import Learned, Snapshot, check_tensors
+from a2s.learner.on_policy.state import Learned, Snapshot
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.step_size import StepSize
 from a2s.learner.on_policy.suggestion import choosiness
@@ -45,7 +46,7 @@ class OnPolicy:
         seed: Of the first weights and of every random choice.
     """
 
-    def __init__(self, obs_size: int, action_size: int, hyper: OnPolicyHyper, seed: int) -> None:
+    def __init__(self, obs_size: int, action_size: int, hyper: OnPolicyConfig, seed: int) -> None:
         self.hyper = hyper
         root = torch.Generator().manual_seed(seed)
         seeds = torch.randint(2**62, (len(_GENERATORS),), generator=root).tolist()
@@ -81,10 +82,10 @@ class OnPolicy:
         Args:
             action_low: Of the environment, float32 ``[A]``.
             action_high: Of the environment, float32 ``[A]``.
-            progress: Fraction of the run that is done, 0..1; only ``selection_fades`` reads it.
+            progress: Fraction of the run that is done, 0..1; only ``anneal_selection`` reads it.
         """
         hyper, learned = self.hyper, self.learned
-        choosy = choosiness(progress, fades=hyper.selection_fades)
+        choosy = choosiness(progress, fades=hyper.anneal_selection)
         picks = self._q_trusted and hyper.suggestions > 1
         return Suggester(
             normaliser=learned.normaliser,
@@ -94,7 +95,7 @@ class OnPolicy:
             action_high=action_high,
             mode=hyper.selection if picks else "first",
             suggestions=hyper.suggestions if picks else 1,
-            temperature=hyper.temperature / choosy,
+            temperature=hyper.selection_temperature / choosy,
             action_mode=hyper.action_mode,
             q_scale=learned.returns.std,
         )
@@ -266,8 +267,8 @@ class OnPolicy:
             q_action_correlation=evidence.q_action_correlation,
             value_explained_variance=evidence.value_explained_variance,
             advantage_std=moved.advantage_std,
-            entropy=float(entropy(learned.policy.log_std.detach())),
-            std=float(learned.policy.std().detach().mean()),
+            entropy=float(entropy(learned.policy.log_std)),
+            std=float(learned.policy.std().mean()),
             return_mean=learned.returns.mean,
             return_std=learned.returns.std,
             q_trusted=int(self._q_trusted),

@@ -1,33 +1,96 @@
-"""The index of a replay: a record for each piece of a segment, appended when its rows are there.
+"""The index of a replay: one record for each piece of a segment, appended after its rows.
 
-What has a record survives the death of this process; what has none was never inserted.
+A piece counts once its record is written, and then survives the death of this process.
 """
 
 import os
+import struct
+import zlib
 from pathlib import Path
+from typing import NamedTuple
 
-from a2s.learner.replay.record import RECORD_BYTES, numbers
+import numpy as np
+import numpy.typing as npt
+
 from a2s.learner.run.directory import write_atomically
 from a2s.protocol.errors import RunDirectoryError
 
-_FEW_BYTES = 4096 * RECORD_BYTES
+TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
+
+_PACKED = struct.Struct("<qqqqiiB7xQ96s")
+_CHECKSUM = struct.Struct("<I")
+RECORD_BYTES = _PACKED.size + _CHECKSUM.size
+_NUMBERS = np.dtype(
+    {
+        "names": ["row", "previous", "seq", "episode_length", "env", "steps", "flags", "rows_hash"],
+        "formats": ["<i8", "<i8", "<i8", "<i8", "<i4", "<i4", "u1", "<u8"],
+        "offsets": [0, 8, 16, 24, 32, 36, 40, 48],
+        "itemsize": RECORD_BYTES,
+    }
+)
+_MIN_COMPACTED_BYTES = 4096 * RECORD_BYTES
+
+Numbers = npt.NDArray[np.void]
+
+
+class Record(NamedTuple):
+    """Consecutive rows of one segment; a segment that is long or wraps round has several.
+
+    Attributes:
+        previous: Row of the step before in the same episode; -1 when it is not known.
+        episode_length: Steps since the episode began, those of this record included.
+        flags: Sum of ``TERMINATED`` and ``TRUNCATED`` (how the last row ends the episode),
+            ``STARTS`` (the first row begins one), ``CONTINUES`` (the segment has more records).
+        rows_hash: XXH3 of the rows' bytes, 64 bits.
+    """
+
+    row: int
+    previous: int
+    seq: int
+    episode_length: int
+    env: int
+    steps: int
+    flags: int
+    rows_hash: int
+    actor: str
+
+    @property
+    def end(self) -> int:
+        """Number of the row after the last."""
+        return self.row + self.steps
+
+    def pack(self) -> bytes:
+        """Encode it, followed by its CRC-32."""
+        data = _PACKED.pack(*self[:-1], self.actor.encode())
+        return data + _CHECKSUM.pack(zlib.crc32(data))
+
+
+def unpack(data: bytes, position: int) -> Record:
+    """Decode a record whose checksum was found right."""
+    values = _PACKED.unpack_from(data, position * RECORD_BYTES)
+    return Record._make((*values[:-1], values[-1].rstrip(b"\0").decode()))
+
+
+def numbers(data: bytes) -> Numbers:
+    """View the numbers of all complete records, named as in `Record`."""
+    return np.frombuffer(data, _NUMBERS, count=len(data) // RECORD_BYTES)
+
+
+def is_whole(data: memoryview, position: int) -> bool:
+    """Whether the checksum of a record is right."""
+    begin = position * RECORD_BYTES
+    end = begin + _PACKED.size
+    (crc,) = _CHECKSUM.unpack_from(data, end)
+    return bool(zlib.crc32(data[begin:end]) == crc)
 
 
 class Index:
-    """The file of records, open for appending.
-
-    Args:
-        path: The file; made when it is not there.
-        size: Bytes of it that count; what is behind them is cut off.
-
-    Raises:
-        RunDirectoryError: It cannot be written.
-    """
+    """The file of records, cut to ``size`` bytes and open for appending."""
 
     def __init__(self, path: Path, size: int) -> None:
-        self.path = path
+        self._path = path
         self._size = size
-        self._compact_at = max(_FEW_BYTES, 2 * size)
+        self._compact_at = max(_MIN_COMPACTED_BYTES, 2 * size)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             os.ftruncate(self._file, size)
@@ -35,15 +98,10 @@ class Index:
             raise RunDirectoryError(f"{path}: {error.strerror}") from None
 
     def append(self, data: bytes, begin: int) -> None:
-        """Write records; they survive the death of this process when this returns.
-
-        Args:
-            data: Packed records.
-            begin: The oldest live row; records wholly before it are dropped now and then.
+        """Write packed records; now and then drop those wholly before the live row ``begin``.
 
         Raises:
-            RunDirectoryError: They cannot be written, for example because the disk is full;
-                nothing has changed.
+            RunDirectoryError: The disk is full, for example; nothing has changed.
         """
         try:
             if self._size >= self._compact_at:
@@ -54,12 +112,12 @@ class Index:
         except OSError as error:
             os.ftruncate(self._file, self._size)
             raise RunDirectoryError(
-                f"{self.path}: {error.strerror}; nothing is lost, make room and resume"
+                f"{self._path}: {error.strerror}; nothing is lost, make room and resume"
             ) from None
         self._size += written
 
     def flush(self) -> None:
-        """Write everything to the disk, for the case that the machine dies."""
+        """Write everything to the disk, in case the machine dies."""
         os.fsync(self._file)
 
     def close(self) -> None:
@@ -70,8 +128,8 @@ class Index:
         data = os.pread(self._file, self._size, 0)
         found = numbers(data)
         dead = int((found["row"] + found["steps"]).searchsorted(begin, side="right"))
-        write_atomically(self.path, data[dead * RECORD_BYTES :])
+        write_atomically(self._path, data[dead * RECORD_BYTES :])
         os.close(self._file)
-        self._file = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)
+        self._file = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
         self._size = len(data) - dead * RECORD_BYTES
-        self._compact_at = max(_FEW_BYTES, 2 * self._size)
+        self._compact_at = max(_MIN_COMPACTED_BYTES, 2 * self._size)

@@ -36,18 +36,19 @@ class Limiter:
     def __init__(
         self, ratio: float, min_size: int, band: float, *, segment_steps: int, batch_size: int
     ) -> None:
-        for name, value, low in (
-            ("ratio", ratio, 0.0),
-            ("min_size", min_size, 0),
-            ("segment_steps", segment_steps, 0),
-            ("batch_size", batch_size, 0),
-        ):
-            if not low < value < float("inf"):
-                raise UsageError(f"samples per insert: {name}: found {value}, expected above {low}")
-        least = max(ratio * segment_steps, batch_size)
-        if not band >= least:
+        positive = {
+            "ratio": ratio,
+            "min_size": min_size,
+            "segment_steps": segment_steps,
+            "batch_size": batch_size,
+        }
+        for name, value in positive.items():
+            if not 0 < value < float("inf"):
+                raise UsageError(f"samples per insert: {name}: found {value}, expected above 0")
+        min_band = max(ratio * segment_steps, batch_size)
+        if not band >= min_band:
             raise UsageError(
-                f"samples per insert: band: found {band:g}, expected at least {least:g}: the "
+                f"samples per insert: band: found {band:g}, expected at least {min_band:g}: the "
                 f"larger of a batch ({batch_size}) and of a segment times the ratio "
                 f"({ratio * segment_steps:g}), or both sides could wait for each other for ever"
             )
@@ -77,10 +78,9 @@ class Limiter:
         return max(0, int(-self.excess / self._ratio))
 
     def may_insert(self, steps: int | None = None) -> bool:
-        """Whether an insertion keeps within the band; counts a wait if not.
+        """Whether this many more, by default the longest segment, keep within the band.
 
-        Args:
-            steps: Its transitions; those of the longest segment when not given.
+        Counts a wait if not.
         """
         more = self._segment_steps if steps is None else steps
         is_free = self.error + self._ratio * more <= self._band
@@ -88,10 +88,9 @@ class Limiter:
         return is_free
 
     def may_sample(self, inserts: int | None = None) -> bool:
-        """Whether another batch keeps within the band; counts a wait if not.
+        """Whether another batch keeps within the band, by this many or all ``inserts``.
 
-        Args:
-            inserts: Transitions to go by; all that were inserted when not given.
+        Counts a wait if not.
         """
         present = self.inserts if inserts is None else inserts
         is_filled = present >= self._min_size

@@ -6,22 +6,20 @@ A configuration is two tables of TOML, as every run directory keeps it::
     [hyper]   every hyperparameter, as `a2s learner --print-config` shows them
 """
 
-import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args
 
 import tomlkit
 
-from a2s.learner.off_policy import presets as off_policy_presets
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
-from a2s.learner.on_policy import presets
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
-from a2s.learner.on_policy.presets import Choice
-from a2s.learner.run.numerals import whole
+from a2s.learner.off_policy import config as off_policy_config
+from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.on_policy import config as on_policy_config
+from a2s.learner.on_policy.config import OnPolicyConfig, as_a2c
 from a2s.learner.run.other_names import OFF_POLICY, ON_POLICY, RUN, meant, without_removed
+from a2s.learner.settings import Settings, setting
 from a2s.protocol.env_config import TIMEOUT_S, EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
 from a2s.protocol.keys import Keys
@@ -30,84 +28,55 @@ from a2s.protocol.messages import Clock
 Variant = Literal["on-policy", "off-policy"]
 Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
+Hyper = OnPolicyConfig | OffPolicyConfig
+C = TypeVar("C", OnPolicyConfig, OffPolicyConfig)
+P = TypeVar("P")
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
-_LISTS = ("env_kwargs", "wrappers", "info_metrics")
-_RANGES: dict[str, tuple[float, float]] = {
-    "total_steps": (1, math.inf),
-    "seed": (0, 2**63 - 1),
-    "n": (1, math.inf),
-    "envs": (1, 4096),
-    "action_repeat": (1, 1000),
-    "frame_stack": (1, 1000),
-    "max_episode_steps": (0, 2**31 - 1),
-    "env_timeout_s": (0.001, 1e9),
-    "checkpoint_every_updates": (1, math.inf),
-    "keep_policy_every_updates": (0, math.inf),
-    "threads": (1, math.inf),
-}
+_WARM_UP_PART = 10
+_BF16_FLAGS = {"avx512_bf16", "amx_bf16"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunConfig:
+class RunConfig(Settings):
     """The options of a run.
 
     Raises:
-        UsageError: A value is impossible; one line that names it.
+        ValueError: A value is impossible; one line that names it.
     """
 
-    run: str = "default"
-    """Name of the run, a part of every key on the network."""
-    env: str = "Hopper-v5"
-    """Gymnasium id, module:Id-v0, module:Class, or FILE.py: with either."""
-    env_kwargs: tuple[str, ...] = ()
-    """KEY=VALUE of its constructor; a value is JSON, or else a text."""
-    wrappers: tuple[str, ...] = ()
-    """module:Class, or module:Class={JSON}, the innermost first."""
-    action_repeat: int = 1
-    """Steps of the environment for each action."""
-    frame_stack: int = 1
-    """Latest observations that a policy sees at once."""
-    max_episode_steps: int = 0
-    """Steps of the environment after which an episode is cut; 0: its own limit."""
-    env_timeout_s: float = TIMEOUT_S
-    """Seconds in which a call into an environment has to return."""
-    info_metrics: tuple[str, ...] = ()
-    """Keys of info whose numbers are kept with each episode; is_success always is."""
-    variant: Variant = "on-policy"
-    """On-policy (algorithm 1 of the paper) or off-policy (algorithm 2)."""
-    algo: Algo = "a2s"
-    """a2s, or a2c: one suggestion, no Q."""
-    preset: str = "modern"
-    """Named set of hyperparameters."""
-    total_steps: int = 1_000_000
-    """Environment steps at which the run ends."""
-    seed: int = 0
-    """Seed of everything."""
-    clock: Clock = "lockstep"
-    """lockstep: one version, one batch; async: actors do not wait for weights."""
-    n: int = 1
-    """Actor processes to wait for before the first weights."""
-    envs: int = 8
-    """Environments in each actor process."""
-    checkpoint_every_updates: int = 20
-    """Updates between checkpoints."""
-    keep_policy_every_updates: int = 0
-    """Updates between policies that are kept for good; 0 keeps none."""
-    threads: int = 1
-    """Threads of torch; small networks are fastest with one."""
-    device: Device = "cpu"
-    """Where off-policy networks learn; actors need no GPU."""
+    run: str = setting("default", "Name of the run, a part of every key on the network")
+    env: str = setting("Hopper-v5", "Gymnasium id, module:Id-v0, module:Class, or FILE.py: either")
+    env_kwargs: tuple[str, ...] = setting((), "KEY=VALUE of its constructor; JSON, or else text")
+    wrappers: tuple[str, ...] = setting((), "module:Class or module:Class={JSON}, innermost first")
+    action_repeat: int = setting(1, "Environment steps for each action", low=1, high=1000)
+    frame_stack: int = setting(1, "Latest observations seen at once", low=1, high=1000)
+    max_episode_steps: int = setting(
+        0, "Steps after which an episode is cut; 0: the environment's own", low=0, high=2**31 - 1
+    )
+    env_timeout_s: float = setting(
+        TIMEOUT_S, "Seconds in which a call into an environment has to return", low=0.001, high=1e9
+    )
+    info_metrics: tuple[str, ...] = setting((), "Keys of info kept with each episode")
+    variant: Variant = setting("on-policy", "Algorithm 1 of the paper, or 2")
+    algo: Algo = setting("a2s", "a2s, or a2c: one suggestion, no Q")
+    preset: str = setting("modern", "Named set of hyperparameters")
+    total_steps: int = setting(1_000_000, "Environment steps at which the run ends", low=1)
+    seed: int = setting(0, "Seed of everything", low=0, high=2**63 - 1)
+    clock: Clock = setting("lockstep", "lockstep: one version, one batch; async: actors never wait")
+    n: int = setting(1, "Actor processes that the first weights wait for", low=1)
+    envs: int = setting(8, "Environments in each actor process", low=1, high=4096)
+    checkpoint_every_updates: int = setting(20, "Updates between checkpoints", low=1)
+    keep_policy_every_updates: int = setting(
+        0, "Updates between policies that are kept for good; 0 keeps none", low=0
+    )
+    threads: int = setting(1, "Threads of torch; small networks are fastest with one", low=1)
+    device: Device = setting("cpu", "Where off-policy networks learn; actors need no GPU")
 
     def __post_init__(self) -> None:
-        """Check every value against its type and range."""
-        for name, hint in get_type_hints(type(self)).items():
-            _require_type(name, getattr(self, name), hint)
+        """Check every value, then those that depend on each other."""
+        Settings.__post_init__(self)
         Keys(self.run)
-        for name, (low, high) in _RANGES.items():
-            if not low <= (number := getattr(self, name)) <= high:
-                span = f"at least {low}" if high == math.inf else f"{low} to {high}"
-                raise UsageError(f"{name}: found {number}, expected {span}")
         self.env_config()
         name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
         if (found := getattr(self, name)) != only:
@@ -119,8 +88,8 @@ class RunConfig:
         Raises:
             UsageError: An argument or a wrapper cannot be read.
         """
-        for setting in self.wrappers:
-            wrapper_of(setting)
+        for wrapper in self.wrappers:
+            wrapper_of(wrapper)
         try:
             return EnvConfig(
                 env_id=self.env,
@@ -141,7 +110,7 @@ class Configuration:
     """A run and its hyperparameters."""
 
     run: RunConfig
-    hyper: OnPolicyHyper | OffPolicyHyper
+    hyper: Hyper
 
     def to_toml(self) -> str:
         """Write everything, so that :func:`read` gives the same again."""
@@ -150,34 +119,74 @@ class Configuration:
         document["hyper"] = {k: _plain(v) for k, v in asdict(self.hyper).items()}
         return tomlkit.dumps(document)
 
-    def sources(self) -> dict[str, Choice]:
-        """Every value that the preset has, with its source."""
-        if self.run.variant == "off-policy":
-            return off_policy_presets.choices(self.run.preset, self.run.total_steps)
-        return presets.choices(self.run.preset, self.run.algo)
-
     def changed(self) -> dict[str, object]:
         """The hyperparameters that are not those of the preset."""
-        sources = self.sources()
-        values = asdict(self.hyper)
-        return {name: value for name, value in values.items() if value != sources[name].value}
+        preset = asdict(_hyper(self.run, {}))
+        return {name: v for name, v in asdict(self.hyper).items() if v != preset[name]}
 
     def explain(self) -> str:
         """Every value with its source, one a line, as TOML with comments."""
-        sources, changed = self.sources(), self.changed()
+        changed, about = self.changed(), type(self.hyper).about()
+        defaults = asdict(type(self.hyper)())
+        module = off_policy_config if self.run.variant == "off-policy" else on_policy_config
+        source = module.PRESETS[self.run.preset].source
         lines = ["[run]"]
         lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
         lines += ["", "[hyper]"]
         for name, value in asdict(self.hyper).items():
-            source = "set by you" if name in changed else sources[name].source
-            lines.append(f"{name} = {_toml(value)}  # {source}")
+            of_preset = about[name].source if value == defaults[name] else source
+            if name == "warm_up_steps" and value < defaults[name]:
+                of_preset = "a tenth of a short run"
+            comment = "set by you" if name in changed else of_preset or "the default"
+            lines.append(f"{name} = {_toml(value)}  # {comment}")
         return "\n".join(lines)
+
+
+def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> OnPolicyConfig:
+    """Hyperparameters of a preset with some of them changed.
+
+    Args:
+        preset: A key of `a2s.learner.on_policy.config.PRESETS`.
+        algo: ``a2s`` or ``a2c``.
+        given: Values by name, of the right type or as text.
+
+    Raises:
+        UsageError: The preset or a name is unknown, or a value impossible.
+    """
+    config = _preset(on_policy_config.PRESETS, preset).config
+    hyper = _change(as_a2c(config) if algo == "a2c" else config, given, ON_POLICY)
+    for name, only in (("suggestions", 1), ("distil", "off")) if algo == "a2c" else ():
+        if (found := getattr(hyper, name)) != only:
+            raise UsageError(f"{name}: found {found}, expected {only} with algo a2c")
+    return hyper
+
+
+def off_policy(
+    preset: str, given: Mapping[str, object], total_steps: int | None = None
+) -> OffPolicyConfig:
+    """Hyperparameters of a preset with some of them changed.
+
+    Args:
+        preset: A key of `a2s.learner.off_policy.config.PRESETS`.
+        given: Values by name, of the right type or as text.
+        total_steps: Of the run, of which at most a tenth is warm-up.
+
+    Raises:
+        UsageError: The preset or a name is unknown, or a value impossible.
+    """
+    config = _preset(off_policy_config.PRESETS, preset).config
+    if config.precision == "fastest":
+        config = replace(config, precision=_fastest_precision())
+    if total_steps is not None:
+        tenth = max(1, total_steps // _WARM_UP_PART)
+        config = replace(config, warm_up_steps=min(tenth, config.warm_up_steps))
+    return _change(config, given, OFF_POLICY)
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read the two tables of a configuration file; either may be missing or incomplete.
 
-    Hyperparameters that are gone are left out where their value changed nothing.
+    Hyperparameters that were removed are left out where their value changed nothing.
 
     Raises:
         UsageError: The file cannot be read, or has an unknown table or option, or
@@ -195,34 +204,28 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         if not isinstance(found, dict):
             raise UsageError(f"{path}: {table}: found {found!r}, expected a table [{table}]")
     run, hyper = document.get("run", {}), document.get("hyper", {})
-    valid = {field.name for field in fields(RunConfig)}
+    valid = set(RunConfig.about())
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
     variant = run.get("variant", "on-policy")
-    return run, without_removed(hyper, variant, _hyperparameters(variant))
+    return run, without_removed(hyper, variant, _names(variant)[0])
 
 
 def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:
     """Check the names in the table ``hyper`` of a file.
 
     Raises:
-        UsageError: One is none of this variant; the one that is meant is named.
+        UsageError: One is not of this variant; the one that is meant is named.
     """
     if variant not in get_args(Variant):
-        return  # and that is what is wrong
-    valid = _hyperparameters(variant)
-    others = OFF_POLICY if variant == "off-policy" else ON_POLICY
+        return  # which is refused later
+    valid, others = _names(variant)
     for name in hyper:
         if name not in valid:
             raise UsageError(
                 f"{path}: unknown hyperparameter {name!r} in [hyper]{meant(name, valid, others)}"
             )
-
-
-def _hyperparameters(variant: object) -> set[str]:
-    hyper = OffPolicyHyper if variant == "off-policy" else OnPolicyHyper
-    return {field.name for field in fields(hyper)}
 
 
 def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:
@@ -231,13 +234,17 @@ def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configu
     Raises:
         UsageError: A name or a value is impossible.
     """
-    options = {name: _exact(name, value) for name, value in options.items()}
-    if options.get("variant") == "off-policy":
-        run = RunConfig(**{**_OFF_POLICY, **options})
-        made = off_policy_presets.off_policy(run.preset, hyper, run.total_steps)
-        return Configuration(run=run, hyper=made)
-    run = RunConfig(**options)
-    return Configuration(run=run, hyper=presets.on_policy(run.preset, run.algo, hyper))
+    given = {**(_OFF_POLICY if options.get("variant") == "off-policy" else {}), **options}
+    try:
+        run = RunConfig(**RunConfig.parse(given))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    return Configuration(run=run, hyper=_hyper(run, hyper))
+
+
+def recovery_of(preset: str, *, on: bool) -> str:
+    """The recovery rule that a preset has for a2s, for a2c with recovery; or ``off``."""
+    return on_policy(preset, "a2s", {}).recovery if on else "off"
 
 
 def parse_settings(settings: list[str]) -> dict[str, object]:
@@ -247,24 +254,48 @@ def parse_settings(settings: list[str]) -> dict[str, object]:
         UsageError: There is no ``=``.
     """
     parsed: dict[str, object] = {}
-    for setting in settings:
-        name, equals, value = setting.partition("=")
+    for each in settings:
+        name, equals, value = each.partition("=")
         if not equals:
-            raise UsageError(f"--set: found {setting!r}, expected KEY=VALUE")
+            raise UsageError(f"--set: found {each!r}, expected KEY=VALUE")
         parsed[name.strip()] = value.strip()
     return parsed
 
 
-def _exact(name: str, value: object) -> object:
-    """A file says 1e6 where a whole number is wanted, and has lists where we have tuples."""
-    if name in _LISTS and isinstance(value, list):
-        return tuple(value)
-    if not isinstance(value, float) or get_type_hints(RunConfig).get(name) is not int:
-        return value
+def _hyper(run: RunConfig, given: Mapping[str, object]) -> Hyper:
+    if run.variant == "off-policy":
+        return off_policy(run.preset, given, run.total_steps)
+    return on_policy(run.preset, run.algo, given)
+
+
+def _names(variant: object) -> tuple[Collection[str], Mapping[str, str]]:
+    """All hyperparameters of a variant, and what else they are called."""
+    if variant == "off-policy":
+        return OffPolicyConfig.about(), OFF_POLICY
+    return OnPolicyConfig.about(), ON_POLICY
+
+
+def _preset(presets: Mapping[str, P], name: str) -> P:
+    if name not in presets:
+        raise UsageError(f"unknown preset {name!r}{nearest(name, presets)}")
+    return presets[name]
+
+
+def _change(config: C, given: Mapping[str, object], others: Mapping[str, str]) -> C:
+    valid = config.about()
+    for name in given:
+        if name not in valid:
+            raise UsageError(f"unknown hyperparameter {name!r}{meant(name, valid, others)}")
     try:
-        return whole(value)
-    except ValueError:
-        raise UsageError(f"{name}: found {value}, expected a whole number") from None
+        return replace(config, **config.parse(given))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _fastest_precision() -> Literal["bf16", "f32"]:
+    processor = Path("/proc/cpuinfo")  # torch could say, but takes seconds to import
+    flags = processor.read_text().split() if processor.exists() else []
+    return "bf16" if _BF16_FLAGS.intersection(flags) else "f32"
 
 
 def _plain(value: object) -> object:
@@ -273,16 +304,3 @@ def _plain(value: object) -> object:
 
 def _toml(value: object) -> str:
     return tomlkit.item(_plain(value)).as_string()
-
-
-def _require_type(name: str, value: object, hint: Any) -> None:
-    if get_origin(hint) is tuple:
-        if type(value) is not tuple or not all(isinstance(v, str) for v in value):
-            raise UsageError(f"{name}: found {value!r}, expected a list of texts")
-        return
-    choices = get_args(hint)
-    if choices and value not in choices:
-        raise UsageError(f"{name}: found {value!r}{nearest(str(value), choices)}")
-    if not choices and type(value) is not hint and (hint, type(value)) != (float, int):
-        expected = {int: "a whole number", float: "a number"}.get(hint, "text")
-        raise UsageError(f"{name}: found {value!r}, expected {expected}")

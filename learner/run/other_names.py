@@ -1,9 +1,9 @@
-"""What other libraries call our settings, and which are gone, so that who has them is told.
+"""Other names of our settings, and settings that were removed, for helpful error messages.
 
-Only what means the same in other libraries is in their tables, though a count may be of one
-environment there, and of all of them here. Stable-Baselines3's ``train_freq`` and
-``target_entropy`` are not: they are in other units than ``updates_per_step`` and
-``entropy_per_action``.
+The names are those of other libraries, where they mean the same, and our own of earlier versions.
+A count may be of one environment there, and of all of them here. Stable-Baselines3's
+``train_freq`` and ``target_entropy`` are left out: their units differ from those of ``utd_ratio``
+and ``entropy_per_action``.
 """
 
 from collections.abc import Collection, Mapping
@@ -21,7 +21,8 @@ _EITHER = {
     "vf_lr": "critic_learning_rate",
     "critic_lr": "critic_learning_rate",
     "discount": "gamma",
-    "norm_obs": "normalise_obs",
+    "normalise_obs": "norm_obs",
+    "normalise_return": "norm_return",
 }
 ON_POLICY = _EITHER | {
     "n_steps": "batch_steps",
@@ -36,29 +37,38 @@ ON_POLICY = _EITHER | {
     "ppo_clipping_epsilon": "clip_ratio",
     "ent_coef": "entropy_weight",
     "entropy_cost": "entropy_weight",
-    "normalize_advantage": "normalise_advantage",
-    "norm_adv": "normalise_advantage",
+    "normalize_advantage": "norm_advantage",
+    "normalise_advantage": "norm_advantage",
+    "norm_adv": "norm_advantage",
     "target_kl": "kl_stop",
     "max_gradient_norm": "max_grad_norm",
+    "temperature": "selection_temperature",
+    "selection_fades": "anneal_selection",
+    "batch_steps_first": "first_batch_steps",
+    "least_minibatches": "min_minibatches",
 }
 OFF_POLICY = _EITHER | {
-    "n_critics": "critics",
-    "num_qs": "critics",
+    "n_critics": "num_critics",
+    "num_qs": "num_critics",
+    "critics": "num_critics",
     "buffer_size": "replay_rows",
     "max_replay_size": "replay_rows",
     "learning_starts": "warm_up_steps",
     "start_training": "warm_up_steps",
     "min_replay_size": "warm_up_steps",
     "batch_size": "batch_rows",
-    "gradient_steps": "updates_per_step",
-    "utd_ratio": "updates_per_step",
+    "gradient_steps": "utd_ratio",
+    "updates_per_step": "utd_ratio",
     "n_steps": "n_step",
     "ent_coef": "initial_temperature",
     "alpha": "initial_temperature",
     "init_temperature": "initial_temperature",
     "temp_lr": "temperature_learning_rate",
-    "n_quantiles": "quantiles",
-    "top_quantiles_to_drop_per_net": "dropped_quantiles",
+    "n_quantiles": "num_quantiles",
+    "quantiles": "num_quantiles",
+    "top_quantiles_to_drop_per_net": "quantiles_to_drop",
+    "dropped_quantiles": "quantiles_to_drop",
+    "huber_width": "kappa",
     "importance_sampling_exponent": "importance_exponent",
 }
 RUN = {
@@ -75,7 +85,7 @@ RUN = {
 
 
 class Removed(NamedTuple):
-    """A hyperparameter that is gone: values that do what is done now, and why it went."""
+    """A removed hyperparameter: the values that equal what is done now, and why it was removed."""
 
     neutral: tuple[object, ...]
     reason: str
@@ -100,6 +110,9 @@ REMOVED = {
         "distil_weight": Removed((0,), _NOTHING),
         "distil_top": Removed((1,), _NOTHING),
         "selection_fades": Removed((False,), "off-policy it was not shown to bring anything"),
+        "selector": Removed(("one",), "one critic, drawn anew, selects"),
+        "quiet_rare_obs": Removed((True,), "it is a part of norm_obs; docs/adr/0016"),
+        "distil_suggestions": Removed((4, 10), "the loss score has act_suggestions"),
         "weight_decay": Removed((0,), "every preset had 0"),
     },
 }
@@ -109,7 +122,7 @@ _REASONS = {name: gone.reason for table in REMOVED.values() for name, gone in ta
 def without_removed(
     given: Mapping[str, object], variant: object, valid: Collection[str]
 ) -> dict[str, object]:
-    """What an older version wrote down, without what is gone and changed nothing.
+    """Leave out removed hyperparameters whose value changed nothing.
 
     Args:
         given: Values by name.
@@ -125,17 +138,16 @@ def without_removed(
 
 
 def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
-    """Say which name is meant by a wrong one.
+    """Say which valid name is meant by an unknown one.
 
     Args:
-        name: The wrong one.
-        valid: All right ones.
-        others: Of those, what other libraries call them.
+        name: The unknown name.
+        valid: All valid ones.
+        others: Other names of those.
 
     Returns:
-        ``" (here it is 'replay_rows')"``; for a hyperparameter that is none here
-        ``" (here it is the option --envs)"``; for one that is gone ``" (removed: ...)"``; else
-        what `nearest` says.
+        ``" (here it is 'replay_rows')"``; ``" (here it is the option --envs)"``;
+        ``" (removed: ...)"``; else what `nearest` says.
     """
     if name in others:
         return f" (here it is {others[name]!r})"

@@ -53,7 +53,8 @@ def actor(
     envs: options.Envs = None,
     run: options.Run = None,
     connect: options.Connect = DEFAULT_ENDPOINT,
-    spool_steps: options.SpoolSteps = 65_536,
+    outbox_steps: options.OutboxSteps = 65_536,
+    spool_steps: options.SpoolSteps = None,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = options.LOOPBACK,
 ) -> None:
@@ -66,7 +67,7 @@ def actor(
             envs=envs,
             run=run or "default",
             connect=connect,
-            spool_steps=spool_steps,
+            outbox_steps=spool_steps or outbox_steps,
             metrics_host=metrics_host,
             metrics_port=metrics_port,
         )

@@ -50,6 +50,18 @@ def test_what_simulators_do_on_their_own_is_no_fault(name: str) -> None:
     assert found["steps"] > 0
 
 
+def test_an_environment_that_configures_logging_does_not_silence_our_lines() -> None:
+    words: list[str] = []
+    check(EnvConfig(env_id="a2s_case_processes:SilencesLogs-v0"), words.append)
+    assert any("close raised RuntimeError: there is nothing to close" in w for w in words), words
+
+
+def test_orphans_that_have_ended_are_not_kept_as_zombies() -> None:
+    words: list[str] = []
+    check(EnvConfig(env_id="a2s_case_processes:Daemons-v0"), words.append)
+    assert {word for word in words if "zombies" in word} == {"0 zombies"}
+
+
 def test_a_process_that_was_there_before_is_none_of_ours(tmp_path: Path) -> None:
     """A shell has started it, and has become this program."""
     note = tmp_path / "pid"

@@ -10,7 +10,7 @@ import onnx
 import pytest
 
 import a2s
-from a2s.actors.environments.making import MOST_SEED
+from a2s.actors.environments.making import MAX_SEED
 from a2s.actors.evaluation import _EVALUATION
 from a2s.commands.evaluate import evaluate_run
 from a2s.protocol.errors import UsageError
@@ -30,7 +30,7 @@ def test_it_reaches_what_evaluate_reaches(hopper: Path) -> None:
     expected = evaluate_run(
         hopper, {"env": "Hopper-v5"}, episodes=1, mode="mean", weights="latest", seed=5
     )
-    seeds = np.random.SeedSequence([_EVALUATION, 5]).generate_state(2) & MOST_SEED
+    seeds = np.random.SeedSequence([_EVALUATION, 5]).generate_state(2) & MAX_SEED
     policy, env = a2s.load_policy(hopper), gymnasium.make("Hopper-v5")
     (obs, _), rewards, ends = env.reset(seed=int(seeds[0])), [], False
     while not ends:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from a2s import cli
 from a2s.commands import bench
 from a2s.commands.bench import Contender, Contest
-from a2s.learner.off_policy.presets import off_policy
+from a2s.learner.run.config import off_policy
 from a2s.protocol.errors import UsageError
 
 FASTEST = off_policy("sac", {}).precision

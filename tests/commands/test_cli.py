@@ -24,7 +24,7 @@ Run = Callable[..., tuple[int, str, str]]
         (["learner", "--env", "NoSuchThing-v5"], "NoSuchThing"),
         (["learner", "--env", "CartPole-v1"], "--env InvertedPendulum-v5 is like it"),
         (["learner", "--preset", "modem"], "did you mean 'modern'?"),
-        (["learner", "--algo", "a3c"], "did you mean 'a2c'?"),
+        (["learner", "--algo", "a3c"], "algo: found 'a3c', expected one of a2s, a2c"),
         (["learner", "--set", "gama=0.9"], "did you mean 'gamma'?"),
         (
             ["learner", "--variant", "off-policy", "--set", "buffer_size=1e6"],
@@ -57,7 +57,7 @@ Run = Callable[..., tuple[int, str, str]]
         (["learner", "--suggestions", "0"], "suggestions: found 0"),
         (["learner", "--run", "a/b"], "run name: found 'a/b'"),
         (["learner", "--listen", "7447"], "expected PROTOCOL/HOST:PORT"),
-        (["learner", "--device", "gpu"], "device: found 'gpu' (did you mean 'cpu'?)"),
+        (["learner", "--device", "gpu"], "device: found 'gpu', expected one of cpu, cuda"),
         (["learner", "--device", "cuda"], "expected cpu with variant on-policy"),
         (["learner", "--variant", "off-policy", "--algo", "a2c"], "algo: found a2c, expected a2s"),
         (["learner", "--variant", "off-policy", "--recovery"], "only on-policy learning has"),

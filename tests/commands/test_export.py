@@ -16,10 +16,10 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.commands.minari_export import executed, room_of
 from a2s.learner.export.off_policy import export as write_graph
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.replay import directory
 from a2s.learner.replay.episodes import StoredEpisodes
+from a2s.learner.run.config import off_policy
 from a2s.protocol.fields import Spaces
 
 Run = Callable[..., tuple[int, str, str]]

@@ -8,8 +8,8 @@ import pytest
 from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.commands.learner import source_of
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.replay import directory
+from a2s.learner.run.config import off_policy
 
 
 @pytest.mark.parametrize(("exponent", "share"), [(0.0, 0.1), (0.5, 10 / 19), (1.0, 100 / 109)])

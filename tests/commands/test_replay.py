@@ -11,7 +11,7 @@ import pytest
 from replay_oracle import ENV_ID
 
 from a2s.learner.replay import directory
-from a2s.learner.replay.served import ServedReplay
+from a2s.learner.replay.remote import ServedReplay
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import ZenohBus
 

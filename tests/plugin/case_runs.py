@@ -15,7 +15,7 @@ from system_helpers import PATIENCE_S, rows
 # Without -P Python would look into the working directory first, which no installed a2s does.
 A2S = (sys.executable, "-P", "-m", "a2s.cli")
 SMALL = (
-    "--set", "batch_steps=256", "--set", "batch_steps_first=256", "--n", "1", "--envs", "2",
+    "--set", "batch_steps=256", "--set", "first_batch_steps=256", "--n", "1", "--envs", "2",
     "--lockstep", "--seed", "3", "--total-steps", "1000", "--episodes", "2", "--metrics-port", "-1",
 )  # fmt: skip
 OFF_POLICY = (

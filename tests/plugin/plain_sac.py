@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
-from a2s.learner.networks.ensemble import Ensemble, Form
+from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
 
@@ -51,26 +51,41 @@ class Trunk(nn.Module):
 
 
 class _Taking:
-    """Makes modules of the parameters that are left, from the first on."""
+    """Makes modules of the parameters of a member that are left, from the first on."""
 
-    def __init__(self, form: Form, left: list[Tensor]) -> None:
-        self.form, self.left = form, left
+    def __init__(self, ensemble: Ensemble, member: int) -> None:
+        def alone(each: Tensor) -> Tensor:
+            return each if ensemble.single else each[member]
+
+        self.form = ensemble.form
+        weights = ensemble.form.weights(ensemble.value, single=ensemble.single)
+        self.linears = [
+            (alone(weight), alone(bias).flatten())
+            for weight, bias in zip(weights.weight, weights.bias, strict=True)
+        ]
+        self.norms = [
+            (alone(norm.gain).flatten(), alone(norm.offset).flatten()) for norm in weights.norms
+        ]
 
     def linear(self) -> nn.Linear:
         """Take a weight and a bias."""
-        weight, bias = self.left.pop(0), self.left.pop(0)
+        weight, bias = self.linears.pop(0)
         layer = nn.Linear(*weight.shape)
-        layer.weight.data, layer.bias.data = weight.t().clone(), bias[0].clone()
+        layer.weight.data, layer.bias.data = weight.t().clone(), bias.clone()
         return layer
 
     def norm(self) -> list[nn.Module]:
         """Take a gain and an offset, if the form has them."""
         if not self.form.layer_norm:
             return []
-        gain, offset = self.left.pop(0), self.left.pop(0)
-        layer = nn.LayerNorm(gain.shape[1])
-        layer.weight.data, layer.bias.data = gain[0].clone(), offset[0].clone()
+        gain, offset = self.norms.pop(0)
+        layer = nn.LayerNorm(len(gain))
+        layer.weight.data, layer.bias.data = gain.clone(), offset.clone()
         return [layer]
+
+    def activation(self) -> nn.Module:
+        """One without parameters."""
+        return nn.ReLU() if self.form.activation == "relu" else nn.Tanh()
 
     def network(self) -> nn.Sequential:
         """Take all."""
@@ -78,14 +93,14 @@ class _Taking:
         parts: list[nn.Module] = [self.linear()]
         if form.network == "residual":
             for _ in hidden[1:]:
-                inner = (*self.norm(), self.linear(), nn.ReLU(), self.linear())
+                inner = (*self.norm(), self.linear(), self.activation(), self.linear())
                 parts.append(Block(nn.Sequential(*inner)))
             return nn.Sequential(*parts, *self.norm(), self.linear())
         if form.late:
-            below = nn.Sequential(*parts, *self.norm(), nn.ReLU())
+            below = nn.Sequential(*parts, *self.norm(), self.activation())
             parts, hidden = [Trunk(below, form.late), self.linear()], hidden[1:]
         for _ in hidden:
-            parts += [*self.norm(), nn.ReLU(), self.linear()]
+            parts += [*self.norm(), self.activation(), self.linear()]
         return nn.Sequential(*parts)
 
 
@@ -93,11 +108,9 @@ def modules(ensemble: Ensemble) -> list[nn.Sequential]:
     """Each member as ordinary modules with the same weights."""
     nets = []
     for member in range(ensemble.members):
-        taking = _Taking(
-            ensemble.form, [view[member] for view in ensemble.form.views(ensemble.value)]
-        )
+        taking = _Taking(ensemble, member)
         nets.append(taking.network())
-        assert taking.left == []
+        assert taking.linears == taking.norms == []
     return nets
 
 
@@ -105,7 +118,7 @@ class PlainSac:
     """Soft actor-critic that starts from the networks of an `OffPolicy`."""
 
     def __init__(self, start: OffPolicy) -> None:
-        hyper, learned = start.hyper, start.learned
+        hyper, learned = start.hyper, start.train_state
         self.hyper = hyper
         self.normaliser = copy.deepcopy(learned.normaliser)
         (self.policy,) = modules(learned.policy)

@@ -91,7 +91,7 @@ def test_an_off_policy_run_keeps_within_float64_bounds(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_wide_observations_of_one_environment_are_trained_on(tmp_path: Path) -> None:
     """A batch of 2,100 steps is 34 MiB, and would be one segment."""
-    batch = ("--set", "batch_steps=2100", "--set", "batch_steps_first=2100", "--envs", "1")
+    batch = ("--set", "batch_steps=2100", "--set", "first_batch_steps=2100", "--envs", "1")
     options = ("--max-episode-steps", "900", "--total-steps", "2100", "--episodes", "1")
     trained = train(tmp_path, "a2s_case_numbers:Wide4096-v0", *SMALL, *batch, *options)
     assert trained.summary["updates"] == 1

@@ -11,7 +11,7 @@ from case_runs import SMALL, a2s, events
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
-FILE = r" \((?:\S*/)?a2s_case_mistakes\.py:\d+\)"
+FILE = r" \((?:\S*/)?a2s_case_(?:envs|mistakes)\.py:\d+\)"
 FOUR = r"step returned 4 values, expected 5 \(obs, reward, terminated, truncated, info\)" + FILE
 
 

@@ -4,9 +4,9 @@ import socket
 
 import typer
 
+from a2s.actors.actor import Task
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
-from a2s.actors.worker import Task
 from a2s.commands.process import EXIT_INTERRUPTED, log_warnings, serve_on, stop_on_signals
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import check_endpoint
@@ -20,7 +20,7 @@ def act(
     envs: int | None,
     run: str,
     connect: str,
-    spool_steps: int,
+    outbox_steps: int,
     metrics_host: str,
     metrics_port: int | None,
 ) -> int:
@@ -43,7 +43,7 @@ def act(
             connect=connect,
             run=run,
             num_envs=envs,
-            spool_steps=spool_steps,
+            outbox_steps=outbox_steps,
         )
         for index in range(n)
     ]

@@ -6,14 +6,14 @@ import numpy as np
 import torch
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
 from a2s.commands.bench import Contender, Contest
 from a2s.learner.export.on_policy import export
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.update import OnPolicy
+from a2s.learner.run.config import on_policy
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Notice
@@ -35,7 +35,7 @@ def contests(stack: ExitStack) -> list[Contest]:
 def _acting(env_id: str, suggestions: int) -> Contender:
     environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(ENVS)]
     suggester = Suggester(_graph(environments[0].spaces, suggestions))
-    rollout = Rollout("bench", environments, 0, Tally(), Troubles())
+    rollout = Rollout("bench", environments, 0, ActorMetrics(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=STEPS, quota_episodes=0, num_bytes=1,
         sha256="",

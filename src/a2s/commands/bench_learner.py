@@ -19,9 +19,9 @@ import torch
 
 from a2s.commands.bench import Contender, Contest, missing
 from a2s.commands.bench_data import ACTION, BATCH, OBS
-from a2s.learner.off_policy.presets import off_policy
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.run.config import off_policy
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.protocol.errors import A2SError
 

@@ -16,9 +16,8 @@ from a2s.commands.bench import Contender, Contest, optional
 from a2s.commands.bench_data import BATCH, SPACES, STEPS, make_segment
 from a2s.commands.process import free_endpoint
 from a2s.learner.replay import directory
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.fields import Array
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment

@@ -7,10 +7,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from a2s.learner.on_policy.presets import recovery_of
 from a2s.learner.run import config as configuration
 from a2s.learner.run import directory as run_directory
-from a2s.learner.run.config import Configuration
+from a2s.learner.run.config import Configuration, recovery_of
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import MalformedMessageError, UsageError
 

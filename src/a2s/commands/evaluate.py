@@ -10,7 +10,7 @@ from a2s.actors.evaluation import evaluate, read_policy
 from a2s.actors.policy import mode_of
 from a2s.commands.configure import environment_of
 from a2s.commands.process import pass_on
-from a2s.learner.run.numerals import written
+from a2s.learner.numerals import written
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
 

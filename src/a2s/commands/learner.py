@@ -22,13 +22,12 @@ from a2s.commands.process import (
     serve_on,
     stop_on_signals,
 )
-from a2s.learner.ingest.batching import Source
-from a2s.learner.learner import Learner
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
+from a2s.learner.make import make_learner, make_replay_learner
+from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.off_policy_trainer import AnyReplay
 from a2s.learner.replay import directory
-from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
-from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration, RunConfig
 from a2s.learner.run.memory import keep_freed_memory
@@ -36,7 +35,7 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.replay_messages import MOST_SAMPLED, MOST_STEPS, ReplayInfo
+from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464
@@ -112,7 +111,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         typer.echo(_banner(run, place.path, endpoint, url), place.out)
         title = f"{run.run}: {run.algo} on {run.env}"
         with closing(make_view(title, quiet=place.as_json)) as view:
-            learner = Learner(
+            learner = make_learner(
                 configuration=configuration,
                 spaces=described.spaces,
                 layout=described.layout,
@@ -152,7 +151,7 @@ def learn_from(
         A2SError: The replay cannot be read or reached.
     """
     hyper = configuration.hyper
-    if not isinstance(hyper, OffPolicyHyper):
+    if not isinstance(hyper, OffPolicyConfig):
         raise UsageError("--replay-from: only --variant off-policy learns from a replay")
     _prepare_process(configuration.run)
     with ExitStack() as stack:
@@ -164,14 +163,17 @@ def learn_from(
         run = replace(configuration.run, env=about.env_id)
         configuration = replace(configuration, run=run)
         stop, metrics, url = stack.enter_context(place.opened(run))
-        learner = FromReplay(
+        title = f"{run.run}: {run.env}"
+        view = stack.enter_context(closing(make_view(title, quiet=place.as_json)))
+        learner = make_replay_learner(
             configuration=configuration,
             spaces=about.spaces,
-            source=replay,
+            replay=replay,
             size=size,
-            most=max_size,
+            max_size=max_size,
             path=place.path,
             metrics=metrics,
+            view=view,
             resume=place.resume,
         )
         place.write_config(configuration)
@@ -187,8 +189,8 @@ def learn_from(
 
 
 def source_of(
-    source: str, connect: str, stack: ExitStack, hyper: OffPolicyHyper
-) -> tuple[Source, Description | ReplayInfo, Callable[[], int], int]:
+    source: str, connect: str, stack: ExitStack, hyper: OffPolicyConfig
+) -> tuple[AnyReplay, Description | ReplayInfo, Callable[[], int], int]:
     """Open the replay of a run.
 
     Args:
@@ -217,7 +219,7 @@ def source_of(
         raise UsageError(
             f"--replay-from: found no directory {source}; name that of a run, or a run at --connect"
         )
-    for name, most in {"n_step": MOST_STEPS, "batch_rows": MOST_SAMPLED}.items():
+    for name, most in {"n_step": MAX_STEPS, "batch_rows": MAX_SAMPLED}.items():
         if (found := getattr(hyper, name)) > most:
             raise UsageError(
                 f"{name}: found {found}, expected at most {most} from a replay over the network; "

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from a2s.learner.run.numerals import whole
+from a2s.learner.numerals import whole
 from a2s.protocol.errors import UsageError
 
 _RUN = "The run"
@@ -212,9 +212,12 @@ ReplayFrom = Annotated[str | None, option(
     None, "--replay-from", metavar="RUN", show_envvar=True,
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
 )]
-SpoolSteps = Annotated[int, whole_number(
-    None, "--spool-steps", low=1, show_envvar=True,
+OutboxSteps = Annotated[int, whole_number(
+    None, "--outbox-steps", low=1, show_envvar=True,
     help="Steps that each process keeps at most while the learner is away.",
+)]
+SpoolSteps = Annotated[int | None, whole_number(  # the former name of the same
+    None, "--spool-steps", low=1, hidden=True,
 )]
 MetricsPort = Annotated[int | None, whole_number(
     _PLACE, "--metrics-port", low=-1, high=65535,

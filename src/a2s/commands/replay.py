@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from a2s.learner.replay import directory
-from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
-from a2s.learner.replay.transitions import Transitions
+from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.config import read
 from a2s.learner.run.directory import CONFIG
 from a2s.protocol.errors import UsageError

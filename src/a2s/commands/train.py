@@ -20,9 +20,9 @@ import typer
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
 from a2s.commands.process import EXIT_INTERRUPTED, Stop, free_endpoint, stop_on_signals
+from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
-from a2s.learner.run.numerals import written
 from a2s.protocol.errors import A2SError, UsageError
 
 _POLL_S = 0.05

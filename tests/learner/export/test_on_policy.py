@@ -11,9 +11,10 @@ import torch
 
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.on_policy import export
-from a2s.learner.networks.networks import Normaliser, Policy, Q
+from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.run.config import on_policy
 
 torch.set_num_threads(1)
 
@@ -24,11 +25,11 @@ def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
     """A suggester whose every number differs from its first value."""
     hyper = on_policy("modern", "a2s", {"q_sizes": "9,6", "policy_sizes": "8,7", **options})
     generator = torch.Generator().manual_seed(3)
-    policy, q_net = Policy(4, 3, hyper, generator), Q(4, 3, hyper, generator)
-    with torch.no_grad():
-        for parameter in [*policy.parameters(), *q_net.parameters()]:
-            parameter.add_(0.3 * torch.randn(parameter.shape, generator=generator))
-    normaliser = Normaliser(4, enabled=hyper.normalise_obs)
+    policy = make_policy(4, 3, hyper, generator)
+    q_net = make_critic(7, hyper.q_sizes, hyper, generator)
+    for value in (policy.value, policy.log_std, q_net.value):
+        value += 0.3 * torch.randn(value.shape, generator=generator)
+    normaliser = Normaliser(4, enabled=hyper.norm_obs)
     normaliser.update(2.0 * torch.randn(100, 4, generator=generator) + 1.0)
     first = mode == "first"
     return Suggester(
@@ -39,7 +40,7 @@ def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
         action_high=HIGH,
         mode=mode,  # type: ignore[arg-type]
         suggestions=1 if first else suggestions,
-        temperature=hyper.temperature,
+        temperature=hyper.selection_temperature,
         action_mode=hyper.action_mode,
         q_scale=7.0,
     )
@@ -62,8 +63,7 @@ def assert_agree(suggester: Suggester, rows: int = 33) -> None:
     feed = {"obs": obs.numpy(), "normal": normal.numpy()}
     if suggester.mode == "soft":
         feed["gumbel"] = gumbel.numpy()
-    with torch.no_grad():
-        expected = suggester(obs, normal, gumbel if suggester.mode == "soft" else None)
+    expected = suggester(obs, normal, gumbel if suggester.mode == "soft" else None)
     found = session(export(suggester, 1, {})).run(list(expected._fields), feed)
     for name, theirs, ours in zip(expected._fields, found, expected, strict=True):
         assert theirs.dtype == np.float32
@@ -87,10 +87,10 @@ def test_graph_agrees_for_every_form_of_network(mode: str, layer_norm: bool) -> 
 @pytest.mark.parametrize(
     "options",
     [
-        {"normalise_obs": False},
+        {"norm_obs": False},
         {"learn_std": False, "std": 0.7},
         {"action_mode": "raw"},
-        {"temperature": 0.25},
+        {"selection_temperature": 0.25},
         {"policy_sizes": "12", "q_sizes": "6"},
         {"policy_sizes": "12,5,4", "q_sizes": "6,5,4"},
         {"init": "uniform"},
@@ -131,8 +131,7 @@ def test_tiny_and_silent_observations_are_those_of_the_suggester() -> None:
     suggester.normaliser.update(obs)
     obs[0, 1:3] = 1.0
     normal, gumbel = torch.zeros(33, 5, 3), torch.zeros(33, 5)
-    with torch.no_grad():
-        expected = suggester(obs, normal, gumbel).suggestion
+    expected = suggester(obs, normal, gumbel).suggestion
     feed = {"obs": obs.numpy(), "normal": normal.numpy(), "gumbel": gumbel.numpy()}
     (found,) = session(export(suggester, 0, {})).run(["suggestion"], feed)
     np.testing.assert_allclose(found, expected.numpy(), atol=1e-5)
@@ -146,17 +145,15 @@ def test_noise_chooses_the_way_of_acting() -> None:
     obs = torch.randn(20, 4)
     normal, gumbel = torch.randn(20, 5, 3), torch.zeros(20, 5)
     feed = {"obs": obs.numpy(), "gumbel": gumbel.numpy()}
-    with torch.no_grad():
-        seen = suggester.normaliser(obs)
-        mean = suggester.policy(seen)
+    seen = suggester.normaliser(obs)
+    mean = suggester.policy(seen)
     (at_mean,) = run(["suggestion"], {**feed, "normal": np.zeros((20, 5, 3), np.float32)})
     np.testing.assert_allclose(at_mean, mean.numpy(), atol=1e-5)
     normal[:, 0] = 0.0
     (best,) = run(["suggestion"], {**feed, "normal": normal.numpy()})
     assert suggester.q_net is not None
-    with torch.no_grad():
-        chosen = suggester.q_net.score(seen, torch.from_numpy(best).clamp(-1, 1).unsqueeze(1))
-        plain = suggester.q_net.score(seen, mean.clamp(-1, 1).unsqueeze(1))
+    chosen = suggester.q_net.score(seen, torch.from_numpy(best).clamp(-1, 1).unsqueeze(1))
+    plain = suggester.q_net.score(seen, mean.clamp(-1, 1).unsqueeze(1))
     assert bool((chosen >= plain - 1e-5).all())
 
 
@@ -166,10 +163,9 @@ def test_replicated_noise_makes_a_plain_step() -> None:
     one = torch.randn(20, 1, 3)
     plain, gumbel = one.expand(20, 5, 3), torch.randn(20, 5)
     obs = torch.randn(20, 4)
-    with torch.no_grad():
-        choice = suggester(obs, plain, gumbel)
-        mean = suggester.policy(suggester.normaliser(obs))
-        expected = mean + one[:, 0] * suggester.policy.std()
+    choice = suggester(obs, plain, gumbel)
+    mean = suggester.policy(suggester.normaliser(obs))
+    expected = mean + one[:, 0] * suggester.policy.std()
     torch.testing.assert_close(choice.suggestion, expected)
     torch.testing.assert_close(choice.q_spread, torch.zeros(20), atol=1e-4, rtol=0.0)
 
@@ -177,7 +173,7 @@ def test_replicated_noise_makes_a_plain_step() -> None:
 @pytest.mark.parametrize("mode", ["first", "hard", "soft"])
 def test_log_prob_is_that_of_the_suggestion_as_executed(mode: str) -> None:
     """Of the policy; soft selection adds how much likelier it made the choice than 1 in K."""
-    suggester = make(mode, temperature=0.7)
+    suggester = make(mode, selection_temperature=0.7)
     obs, normal = torch.randn(9, 4), torch.randn(9, suggester.suggestions, 3)
     choice = suggester(obs, normal, torch.randn(9, suggester.suggestions))
     seen = suggester.normaliser(obs)
@@ -220,8 +216,7 @@ def test_later_export_has_the_later_weights() -> None:
     """Only the nodes are remembered."""
     suggester = make("first")
     before = export(suggester, 0, {})
-    with torch.no_grad():
-        suggester.policy.log_std.add_(1.0)
+    suggester.policy.log_std.add_(1.0)
     assert before != export(suggester, 0, {})
     assert_agree(suggester)
 

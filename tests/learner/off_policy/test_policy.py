@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from a2s.learner.networks.gaussian import log_density
 from a2s.learner.off_policy.policy import advantage_over_others, pathwise, score
-from a2s.learner.off_policy.squashed import Gaussian, draw, gaussian, log_density
+from a2s.learner.off_policy.squashed import Gaussian, draw, gaussian
 
 
 @given(st.lists(st.floats(-100, 100), min_size=2, max_size=8))
@@ -36,7 +37,7 @@ def test_pathwise_gradient_is_that_of_autograd() -> None:
     raw, normal = output(), torch.randn(6, 2).double()
     policy = gaussian(raw)
     u = policy.mean + policy.log_std.exp() * normal
-    loss = (0.3 * log_density(u, normal, policy.log_std) - worth(u.tanh())).mean()
+    loss = (0.3 * log_density(normal, policy.log_std, u) - worth(u.tanh())).mean()
     torch.autograd.backward(loss)
     action = u.detach().tanh().requires_grad_()
     torch.autograd.backward(worth(action).sum())
@@ -63,7 +64,7 @@ def test_score_gradient_is_that_of_autograd() -> None:
     u = (mean + log_std.exp() * normal).detach()
     density = torch.distributions.Normal(mean, log_std.exp())
     log_prob = density.log_prob(u).sum(2)  # type: ignore[no-untyped-call]
-    soft = worth(u.tanh()) - 0.3 * log_density(u, normal, log_std).detach()
+    soft = worth(u.tanh()) - 0.3 * log_density(normal, log_std, u).detach()
     others = (soft.sum(1, keepdim=True) - soft) / 4
     torch.autograd.backward(-(log_prob * (soft - others)).mean())
     free = Gaussian(*(each.detach() for each in policy))

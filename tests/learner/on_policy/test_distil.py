@@ -4,18 +4,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.adam import Adam, FlatParameters
-from a2s.learner.networks.networks import Policy, Q
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.form import Form
 from a2s.learner.on_policy.distil import (
     distil_loss,
     distil_policy,
     distil_target,
     score_in_parts,
 )
-from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.run.config import on_policy
 
 
-class Nearest(Q):
+class Nearest(Ensemble):
     """Values an action by how near it is to .3 in every dimension."""
 
     def score(self, obs: Tensor, action: Tensor) -> Tensor:
@@ -25,7 +27,8 @@ class Nearest(Q):
 
 def nearest() -> Nearest:
     """Build a critic of four observed numbers and two actions."""
-    return Nearest(4, 2, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
+    form = Form((6, 8, 1), activation="tanh", layer_norm=False)
+    return Nearest(form, torch.zeros(form.length), single=True)
 
 
 def target_of(suggestions: int, top: int, rows: int = 500) -> Tensor:
@@ -64,7 +67,8 @@ def test_more_suggestions_come_nearer() -> None:
 
 def test_scores_in_parts_are_scores() -> None:
     """Neither 777 x 7 nor its parts are a multiple of the size of a part."""
-    q_net = Q(4, 2, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
+    generator = torch.Generator().manual_seed(0)
+    q_net = make_critic(6, (128, 64), on_policy("modern", "a2s", {}), generator)
     obs, action = torch.randn(777, 4), torch.randn(777, 7, 2)
     torch.testing.assert_close(score_in_parts(q_net, obs, action), q_net.score(obs, action))
 
@@ -90,12 +94,12 @@ def test_average_of_the_best_has_the_gradient_of_all_of_them() -> None:
 @pytest.mark.parametrize(("bound", "all_steps"), [(0.02, False), (float("inf"), True)])
 def test_separate_steps_end_at_the_bound(bound: float, all_steps: bool) -> None:
     """Without one they would go all the way to the target."""
-    policy = Policy(4, 2, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
+    policy = make_policy(4, 2, on_policy("modern", "a2s", {}), torch.Generator().manual_seed(0))
     obs = torch.randn(200, 4)
-    before = policy(obs).detach()
+    before = policy(obs)
     _, made = distil_policy(
         policy,
-        Adam(FlatParameters(policy)),
+        Adam(policy.value),
         obs,
         torch.full((200, 2), 0.8),
         steps=50,
@@ -105,7 +109,7 @@ def test_separate_steps_end_at_the_bound(bound: float, all_steps: bool) -> None:
         max_grad_norm=0.0,
         generator=torch.Generator().manual_seed(0),
     )
-    moved = float((policy(obs) - before).square().sum(1).mean().detach() / (2 * 0.25))
+    moved = float((policy(obs) - before).square().sum(1).mean() / (2 * 0.25))
     assert (made == 50) is all_steps
     assert (moved < 0.05) is not all_steps
     assert moved > 0.01

@@ -4,18 +4,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.adam import Adam, FlatParameters
-from a2s.learner.networks.body import Body
-from a2s.learner.on_policy import presets
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.form import Form
 from a2s.learner.on_policy.fit import Regression, fit_epochs, fit_threshold, num_chunks
 
 
 def linear(inputs: Tensor, seed: int = 0) -> Regression:
     """Build linear networks of three inputs."""
     generator = torch.Generator().manual_seed(seed)
-    hyper = presets.on_policy("modern", "a2s", {})
-    body = Body((3, 1), hyper=hyper, output_gain=1.0, generator=generator)
-    return Regression(body=body, inputs=inputs, optimiser=Adam(FlatParameters(body)))
+    form = Form((3, 1), activation="tanh", layer_norm=True)
+    network = Ensemble(form, form.draw(1, generator, init="orthogonal"), single=True)
+    return Regression(network=network, inputs=inputs, optimiser=Adam(network.value))
 
 
 def job_of(seed: int = 0, rows: int = 96) -> tuple[Regression, Tensor]:
@@ -27,8 +27,7 @@ def job_of(seed: int = 0, rows: int = 96) -> tuple[Regression, Tensor]:
 
 def predict(job: Regression) -> Tensor:
     """What a fitted network says of its inputs, ``[N]``."""
-    found, _ = job.body.trace(job.inputs)
-    return found.squeeze(-1)
+    return job.network(job.inputs).squeeze(-1)
 
 
 def epochs(
@@ -40,7 +39,7 @@ def epochs(
         target,
         epochs=count,
         minibatch=32,
-        least_minibatches=1,
+        min_minibatches=1,
         learning_rate=rate,
         max_grad_norm=0.0,
         generator=torch.Generator().manual_seed(5),

@@ -2,29 +2,33 @@
 
 import pytest
 import torch
+from torch import Tensor
 from torch.distributions import Independent, Normal
 
-from a2s.learner.networks.adam import Adam, FlatParameters
-from a2s.learner.networks.networks import Policy
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.gaussian import Policy, log_density
 from a2s.learner.on_policy.policy_gradient import (
     PolicyData,
     differentiate,
     entropy,
     importance,
     improve,
-    log_density,
     normalised,
     policy_loss,
 )
-from a2s.learner.on_policy.presets import on_policy
+from a2s.learner.on_policy.state import make_policy
 from a2s.learner.on_policy.suggestion import log_preference, select_soft, take
+from a2s.learner.run.config import on_policy
 
 
-def test_density_and_entropy_agree_with_the_textbook() -> None:
-    """Against torch's distributions."""
-    mean, log_std, action = torch.randn(5, 3), torch.randn(3), torch.randn(5, 3)
-    textbook = Independent(Normal(mean, log_std.exp()), 1)
-    torch.testing.assert_close(log_density(mean, log_std, action), textbook.log_prob(action))  # type: ignore[no-untyped-call]
+def density_of(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
+    """Log density of actions, ``[N]``."""
+    return log_density((action - mean) * (-log_std).exp(), log_std)
+
+
+def test_entropy_agrees_with_the_textbook() -> None:
+    log_std = torch.randn(3)
+    textbook = Independent(Normal(torch.zeros(5, 3), log_std.exp()), 1)
     torch.testing.assert_close(entropy(log_std), textbook.entropy()[0])  # type: ignore[no-untyped-call]
 
 
@@ -100,7 +104,7 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     uniform = torch.rand(40_000, 10, generator=generator)
     index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 1.0)
     action = take(candidate, index)
-    log_prob = log_density(mean, log_std, action)
+    log_prob = density_of(mean, log_std, action)
     executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
     drawn = log_prob.detach()
@@ -115,17 +119,16 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
 def data_of(policy: Policy, rows: int = 400) -> PolicyData:
     """Suggestions that are the better the larger their first dimension is."""
     obs = torch.randn(rows, 4)
-    with torch.no_grad():
-        mean = policy(obs)
-    action = mean + policy.std().detach() * torch.randn(rows, 2)
+    mean = policy(obs)
+    action = mean + policy.std() * torch.randn(rows, 2)
     return PolicyData(
         obs=obs,
         action=action,
-        log_prob=log_density(mean, policy.log_std.detach(), action),
+        log_prob=density_of(mean, policy.log_std, action),
         advantage=normalised(action[..., 0], torch.ones(rows)),
         weight=torch.ones(rows),
         mean=mean,
-        log_std=policy.log_std.detach().clone(),
+        log_std=policy.log_std.clone(),
     )
 
 
@@ -137,7 +140,7 @@ def test_gradient_is_that_of_autograd(loss: str) -> None:
     mean = torch.randn(50, 2, generator=generator, requires_grad=True)
     log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
     action = mean.detach() + torch.randn(50, 2, generator=generator) * 0.5
-    log_prob = log_density(mean, log_std, action)
+    log_prob = density_of(mean, log_std, action)
     part = PolicyData(
         obs=torch.zeros(50, 1),
         action=action,
@@ -162,20 +165,20 @@ def test_gradient_is_that_of_autograd(loss: str) -> None:
 def test_policy_moves_to_what_was_better(loss: str) -> None:
     """The sign of either loss."""
     hyper = on_policy("modern", "a2s", {"policy_loss": loss, "learning_rate": 1e-3})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    policy = make_policy(4, 2, hyper, torch.Generator().manual_seed(0))
     data = data_of(policy)
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    adam, generator = Adam(policy.value), torch.Generator().manual_seed(0)
     found = improve(policy, adam, data, hyper, learning_rate=1e-3, generator=generator)
     moved = (policy(data.obs) - data.mean).mean(0)
-    assert float(moved[0].detach()) > 0.01
+    assert float(moved[0]) > 0.01
     assert found.kl > 0.0
 
 
 def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
     """A pass is finished, then no other begins."""
     hyper = on_policy("modern", "a2s", {"kl_stop": 0.005})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    policy = make_policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    adam, generator = Adam(policy.value), torch.Generator().manual_seed(0)
     data = data_of(policy)
     found = improve(policy, adam, data, hyper, learning_rate=3e-3, generator=generator)
     assert found.epochs < hyper.policy_epochs
@@ -185,10 +188,10 @@ def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
 def test_std_is_held_at_its_floor() -> None:
     """Though the advantage asks for less."""
     hyper = on_policy("modern", "a2s", {"std": 0.5, "std_floor": 0.499})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    policy = make_policy(4, 2, hyper, torch.Generator().manual_seed(0))
     data = data_of(policy)
     narrow = -(data.action - data.mean).square().sum(1)
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
+    adam, generator = Adam(policy.value), torch.Generator().manual_seed(0)
     narrower = PolicyData(
         obs=data.obs,
         action=data.action,
@@ -199,4 +202,4 @@ def test_std_is_held_at_its_floor() -> None:
         log_std=data.log_std,
     )
     improve(policy, adam, narrower, hyper, learning_rate=1e-2, generator=generator)
-    torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))
+    torch.testing.assert_close(policy.std(), torch.full((2,), 0.499))

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
 
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.step_size import StepSize, gaussian_kl
+from a2s.learner.run.config import on_policy
 
 RATES = {"learning_rate": 3e-4, "critic_learning_rate": 3e-4}
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from a2s.learner.on_policy.batch import Batch
-from a2s.learner.on_policy.presets import on_policy
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
+from a2s.learner.run.config import on_policy
 from a2s.protocol.errors import A2SError, RunDirectoryError
 
 D, A = 4, 2
@@ -208,9 +208,9 @@ def test_selection_fades_to_indifference() -> None:
     algorithm.update(play(algorithm, 0))
     bounds = -torch.ones(A), torch.ones(A)
     temperatures = [algorithm.suggester(*bounds, p).temperature for p in (0.0, 0.5, 1.0)]
-    first = algorithm.hyper.temperature
+    first = algorithm.hyper.selection_temperature
     assert temperatures == [first, 2 * first, 1000 * first]
-    stays = make(selection_fades=False)
+    stays = make(anneal_selection=False)
     stays.update(play(stays, 0))
     assert stays.suggester(*bounds, 1.0).temperature == first
 

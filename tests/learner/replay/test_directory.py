@@ -18,7 +18,7 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
-from a2s.learner.replay.record import RECORD_BYTES
+from a2s.learner.replay.index import RECORD_BYTES
 from a2s.learner.replay.replay import Replay
 from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
 from a2s.protocol.fields import Spaces
@@ -81,10 +81,10 @@ def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
         last = acknowledged[-1]
         with opened(tmp_path, is_known=lambda _, seq, last=last: seq <= last) as replay:
             assert replay.live.stop == sum(
-                1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1)
+                1 + seq % replay_writer.MAX_STEPS for seq in range(last + 1)
             )
             assert len(replay) == min(capacity, replay.live.stop)
-            assert replay.taken_back <= replay_writer.MOST_STEPS
+            assert replay.taken_back <= replay_writer.MAX_STEPS
             batch = replay.sample(2 * len(replay), rng, n_step=2, gamma=0.5)
             assert np.array_equal(batch.obs[:, 0], batch.row)
             assert np.array_equal(batch.reward == 1.0, batch.row == replay.live.stop - 1)

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from replay_oracle import ENV_ID, SPACES, make_segment
 
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
 from a2s.protocol.fields import Spaces

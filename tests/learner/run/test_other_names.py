@@ -9,8 +9,8 @@ import pytest
 from typer.main import get_command
 
 from a2s import cli
-from a2s.learner.off_policy.hyperparameters import OffPolicyHyper
-from a2s.learner.on_policy.hyperparameters import OnPolicyHyper
+from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.run.config import RunConfig, assemble, read
 from a2s.learner.run.other_names import OFF_POLICY, ON_POLICY, REMOVED, RUN, meant
 from a2s.protocol.errors import UsageError
@@ -18,7 +18,7 @@ from a2s.protocol.errors import UsageError
 
 @pytest.mark.parametrize(
     ("table", "settings"),
-    [(ON_POLICY, OnPolicyHyper), (OFF_POLICY, OffPolicyHyper), (RUN, RunConfig)],
+    [(ON_POLICY, OnPolicyConfig), (OFF_POLICY, OffPolicyConfig), (RUN, RunConfig)],
 )
 def test_every_name_leads_to_one_of_ours_and_is_none_itself(
     table: Mapping[str, str], settings: Any

@@ -1,0 +1,35 @@
+"""How people write numbers, and how numbers are written for them."""
+
+from decimal import Decimal, InvalidOperation
+
+_MAX_DIGITS = 309  # as the largest float has; 1e999999999 would not fit into memory
+
+
+def whole(given: str | float) -> int:
+    """Read a whole number, however it is written: ``1000000``, ``1e6``, ``1000.0``.
+
+    Raises:
+        ValueError: It is none: ``1.5e0``, ``1e-3``, ``inf``, ``nan`` and what is no number.
+    """
+    try:
+        number = Decimal(given)
+    except InvalidOperation:
+        raise ValueError(f"no number: {given!r}") from None
+    is_short = number.is_finite() and number.adjusted() < _MAX_DIGITS
+    if not is_short or number != number.to_integral_value():
+        raise ValueError(f"no whole number: {given!r}")
+    return int(number)
+
+
+def written(value: float) -> str:
+    """Write a return so that it says something at any size: ``3193.4``, ``-3.21e-06``, ``1e+09``.
+
+    Args:
+        value: A return, or a deviation of returns.
+    """
+    size = abs(value)
+    if size == 0.0:
+        return "0.0"  # and not -0.0
+    if size < 1.0:
+        return f"{value:.3g}"
+    return f"{value:.1f}" if size < 1e8 else f"{value:.5g}"
