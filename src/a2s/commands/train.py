@@ -66,10 +66,8 @@ def train(
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         code = _run(learner, actor, path, out, stop)
-    if code:
-        return code
-    if not (path / "summary.json").exists():
-        return EXIT_INTERRUPTED
+    if code or not (path / "summary.json").exists():
+        return code or EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
     failure: A2SError | None = None
     if summary["finished"] and not stop.interrupted:
