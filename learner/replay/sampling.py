@@ -63,7 +63,7 @@ class Priorities:
 
     Args:
         ring: The rows.
-        priority: Where the priorities lie, float32 ``[S]`` for S slots.
+        priority: Where the priorities lie, float32 ``[S]``.
         alpha: Exponent: 0 is uniform, 1 fully proportional.
 
     Attributes:
@@ -103,11 +103,9 @@ class Priorities:
             self._tree.assign_range(0, last, 0.0)
 
     def draw(self, batch_size: int, beta: float, rng: np.random.Generator) -> tuple[Rows, Array]:
-        """Draw live rows with replacement.
+        """Draw live rows with replacement, int64 ``[B]``.
 
-        Returns:
-            Rows, int64 ``[B]``, and weights ``(chance * len(ring)) ** -beta``, divided by the
-            highest, float32 ``[B]``.
+        Their weights are ``(chance * len(ring)) ** -beta`` over the highest, float32 ``[B]``.
         """
         if self._tree is None:
             from a2s.learner.replay.sum_tree import SumTree  # numba takes half a second
