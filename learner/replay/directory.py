@@ -72,8 +72,7 @@ def open_existing(
 
     With another ``capacity`` the newest rows are kept. Segments that ``is_known`` does not find in
     the ledger are taken back, see `Recovery`. The first ``least_rows`` were inserted before the
-    newest checkpoint: they are on the disk, whatever is killed, so that a replay without them is
-    damaged and not torn.
+    newest checkpoint: a kill cannot tear them, so that a replay without them is damaged.
 
     Raises:
         UsageError: The capacity is below one batch.

@@ -1,7 +1,7 @@
 """The files of a replay directory: ``replay.json``, mapped arrays, and the lock.
 
-``replay.json`` names the files that count, and is replaced in one step: a directory is always of
-the old capacity or of the new one, whatever is killed.
+``replay.json`` names the files that count, and is replaced in one step: a kill leaves a directory
+of the old capacity or of the new one.
 """
 
 import fcntl

@@ -36,13 +36,8 @@ class Limiter:
     def __init__(
         self, ratio: float, min_size: int, band: float, *, segment_steps: int, batch_size: int
     ) -> None:
-        positive = {
-            "ratio": ratio,
-            "min_size": min_size,
-            "segment_steps": segment_steps,
-            "batch_size": batch_size,
-        }
-        for name, value in positive.items():
+        sizes = {"min_size": min_size, "segment_steps": segment_steps, "batch_size": batch_size}
+        for name, value in ({"ratio": ratio} | sizes).items():
             if not 0 < value < float("inf"):
                 raise UsageError(f"samples per insert: {name}: found {value}, expected above 0")
         min_band = max(ratio * segment_steps, batch_size)

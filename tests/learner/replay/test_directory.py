@@ -79,10 +79,10 @@ def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
         last = acknowledged[-1]
         with opened(tmp_path, is_known=lambda _, seq, last=last: seq <= last) as replay:
             assert replay.live.stop == sum(
-                1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1)
+                1 + seq % replay_writer.MAX_STEPS for seq in range(last + 1)
             )
             assert len(replay) == min(capacity, replay.live.stop)
-            assert replay.taken_back <= replay_writer.MOST_STEPS
+            assert replay.taken_back <= replay_writer.MAX_STEPS
             batch = replay.sample(2 * len(replay), rng, n_step=2, gamma=0.5)
             assert np.array_equal(batch.obs[:, 0], batch.row)
             assert np.array_equal(batch.reward == 1.0, batch.row == replay.live.stop - 1)
@@ -291,7 +291,7 @@ def test_a_replay_is_made_only_where_there_is_none(tmp_path: Path) -> None:
 
 
 def test_one_learner_writes_or_readers_keep_learners_out(tmp_path: Path) -> None:
-    """Anybody may look at any time; who is alone sees no row written over."""
+    """Anybody may look at any time; to be alone is to see no row written over."""
     path = fill(tmp_path)
     with opened(path) as replay:
         with pytest.raises(RunDirectoryError, match="another learner writes to it"):

@@ -49,7 +49,7 @@ def test_it_never_blocks_both_sides_and_holds_the_ratio(
     batch_size: int,
     turns: list[tuple[bool, int]],
 ) -> None:
-    """Whoever comes, in whatever order, with segments of any length up to the longest."""
+    """Both sides come in any order, with segments of any length up to the longest."""
     band = slack * max(ratio * segment_steps, batch_size)
     limiter = Limiter(ratio, min_size, band, segment_steps=segment_steps, batch_size=batch_size)
     for inserts, steps in turns:

@@ -112,7 +112,7 @@ def test_new_rows_are_drawn_like_the_most_important(rng: np.random.Generator) ->
 
 
 def test_evicted_rows_are_never_drawn(rng: np.random.Generator) -> None:
-    """Whatever their priority was, and a late update of it changes nothing."""
+    """However high their priority was; a late update of it changes nothing."""
     replay = Replay.in_memory(ENV_ID, SPACES, 10)
     for i in range(40):
         steps = 1 + i % 7

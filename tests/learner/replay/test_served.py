@@ -73,7 +73,7 @@ def remote(buses: tuple[Bus, Bus], replay: Replay) -> RemoteReplay:
 def test_what_is_served_is_what_the_same_seed_draws_here(
     remote: RemoteReplay, replay: Replay, prioritised: bool
 ) -> None:
-    """To the bit; who finds another ``end`` in the next answer knows why it differs."""
+    """To the bit; another ``end`` in the next answer says why that differs."""
     replay.update_priorities(np.arange(40), np.linspace(0, 1, 40))
     request = dataclasses.replace(REQUEST, prioritised=prioritised)
     served, again = remote.ask(request), remote.ask(request)
@@ -149,7 +149,7 @@ def test_answers_take_their_share_of_the_time_and_no_more(replay: Replay) -> Non
     now_s, rested = [0.0], []
 
     def clock() -> float:
-        now_s[0] += 1.0  # whatever is done takes a second
+        now_s[0] += 1.0  # everything takes a second
         return now_s[0]
 
     def rest(seconds: float) -> None:
