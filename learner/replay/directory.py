@@ -34,13 +34,8 @@ def create(
 ) -> Replay:
     """Make a replay; all the room that it will need on the disk is taken now.
 
-    Args:
-        path: A directory that holds no replay yet.
-        env_id: Environment.
-        spaces: Its spaces.
-        capacity: Transitions that it holds; the oldest are evicted.
-        batch_size: The largest batch that will be sampled.
-        alpha: Exponent of the priorities.
+    It keeps the newest ``capacity`` transitions, which must be enough for the largest batch;
+    ``alpha`` is the exponent of the priorities.
 
     Raises:
         UsageError: The capacity is below one batch.
@@ -75,16 +70,9 @@ def open_existing(
 ) -> Replay:
     """Open a replay to go on with it; every live row is compared with its checksum.
 
-    Args:
-        path: The directory.
-        env_id: Environment that it must be of.
-        spaces: Spaces that it must have.
-        capacity: Another capacity to give it, the newest rows are kept.
-        batch_size: The largest batch that will be sampled.
-        is_known: Whether a segment is in the ledger, see `Recovery`.
-        least_rows: Rows that were inserted before the newest checkpoint. They are on the disk,
-            whatever is killed, so that a replay without them is damaged and not torn.
-        alpha: Exponent of the priorities.
+    With another ``capacity`` the newest rows are kept. Segments that ``is_known`` does not find in
+    the ledger are taken back, see `Recovery`. The first ``least_rows`` were inserted before the
+    newest checkpoint: a kill cannot tear them, so that a replay without them is damaged.
 
     Raises:
         UsageError: The capacity is below one batch.
@@ -126,12 +114,8 @@ def look_at(path: Path, *, alpha: float = 0.6, alone: bool = False) -> Replay:
     """Open a replay to read it, also while a learner writes to it: it is seen as it is now.
 
     Nothing in the directory is changed. What the learner inserts later is not seen, but comes to
-    lie over the oldest rows: whoever reads for long must be alone.
-
-    Args:
-        path: The directory.
-        alpha: Exponent of the priorities.
-        alone: Refuse one that a learner writes to, and keep learners out until it is closed.
+    lie over the oldest rows: to read for long, ask to be ``alone``, which refuses a replay that a
+    learner writes to, and keeps learners out until it is closed.
 
     Raises:
         RunDirectoryError: There is none, it is damaged, or a learner writes to it.

@@ -1,12 +1,12 @@
 """The files of a replay directory: ``replay.json``, mapped arrays, and the lock.
 
-``replay.json`` names the files that count, and is replaced in one step: a directory is always of
-the old capacity or of the new one, whatever is killed.
+``replay.json`` names the files that count, and is replaced in one step: a kill leaves a directory
+of the old capacity or of the new one.
 """
 
 import fcntl
 import json
-import mmap
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +24,8 @@ from a2s.protocol.fields import Array, Spaces
 NAME = "replay.json"
 _FORMAT = 2
 
+FloatMap = np.memmap[tuple[int, ...], np.dtype[np.float32]]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Description:
@@ -35,7 +37,7 @@ class Description:
     files: int
 
     def write(self, path: Path) -> None:
-        """Write it into a directory, whole or not at all."""
+        """Write it into a directory."""
         offset = self.spaces.obs_offset
         document = {
             "format": _FORMAT,
@@ -94,12 +96,8 @@ def describe(path: Path) -> Description:
 class Files:
     """The open files of a replay; what is written to them survives this process.
 
-    Args:
-        path: The directory.
-        about: The description, which numbers the files.
-        writable: Open them for writing.
-        new: Make them, all zeros, with all their room, so that a full disk is noticed now. They
-            count once ``replay.json`` names them.
+    With ``new`` they are made, all zeros, with all their room, so that a full disk is noticed now;
+    they count once ``replay.json`` names them.
 
     Attributes:
         slots: The transitions.
@@ -117,15 +115,15 @@ class Files:
     ) -> None:
         self._path = path
         self._number = about.files
-        self._maps: list[mmap.mmap] = []
+        self._maps: list[FloatMap] = []
         self.index_path = path / f"index-{about.files}.log"
         self.index: Index | None = None
         self.lock_file = -1
 
         def make(name: str, shape: tuple[int, ...]) -> Array:
             file = path / f"{name}-{about.files}.f32"
-            self._maps.append(_map(file, 4 * int(np.prod(shape)), new=new, writable=writable))
-            return np.frombuffer(self._maps[-1], np.float32).reshape(shape)
+            self._maps.append(_map(file, shape, new=new, writable=writable))
+            return np.asarray(self._maps[-1])  # a plain array is read faster than a map
 
         if new:
             self.delete()  # left by a process that was killed here
@@ -159,23 +157,19 @@ class Files:
             file.unlink()
 
 
-def _map(path: Path, expected: int, *, new: bool, writable: bool) -> mmap.mmap:
-    flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC
+def _map(path: Path, shape: tuple[int, ...], *, new: bool, writable: bool) -> FloatMap:
+    expected = 4 * math.prod(shape)
     try:
-        file = os.open(path, flags | (os.O_CREAT | os.O_EXCL if new else 0), 0o644)
-        try:
-            if new:
-                os.posix_fallocate(file, 0, expected)
-            found = os.fstat(file).st_size
-            if found != expected:
-                raise RunDirectoryError(
-                    f"{path}: found {found} bytes, expected {expected}; the file is damaged, "
-                    "move the directory away to begin another"
-                )
-            access = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
-            return mmap.mmap(file, expected, flags=mmap.MAP_SHARED, prot=access)
-        finally:
-            os.close(file)
+        if new:
+            with path.open("xb") as file:
+                os.posix_fallocate(file.fileno(), 0, expected)
+        found = path.stat().st_size
+        if found != expected:
+            raise RunDirectoryError(
+                f"{path}: found {found} bytes, expected {expected}; the file is damaged, "
+                "move the directory away to begin another"
+            )
+        return np.memmap(path, np.float32, "r+" if writable else "r", shape=shape)
     except OSError as error:
         raise RunDirectoryError(
             f"{path}: {error.strerror}, {expected / 2**20:.0f} MiB are needed"
@@ -186,9 +180,7 @@ def _map(path: Path, expected: int, *, new: bool, writable: bool) -> mmap.mmap:
 def locked(path: Path, *, to_read: bool = False) -> Iterator[int]:
     """Keep writers out until the descriptor is closed, which this does only after an error.
 
-    Args:
-        path: The directory.
-        to_read: Let others keep them out as well; else only one process can, which may write.
+    Only one process can, and it may write; with ``to_read`` several can, and none of them may.
 
     Raises:
         RunDirectoryError: Another process writes there, or keeps writers out.

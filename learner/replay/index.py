@@ -6,11 +6,9 @@ A piece counts once its record is written, and then survives the death of this p
 import os
 import struct
 import zlib
+from bisect import bisect_right
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
-import numpy.typing as npt
 
 from a2s.learner.run.directory import write_atomically
 from a2s.protocol.errors import RunDirectoryError
@@ -18,19 +16,10 @@ from a2s.protocol.errors import RunDirectoryError
 TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
 
 _PACKED = struct.Struct("<qqqqiiB7xQ96s")
+_ROW_AND_STEPS = struct.Struct("<q28xi")
 _CHECKSUM = struct.Struct("<I")
 RECORD_BYTES = _PACKED.size + _CHECKSUM.size
-_NUMBERS = np.dtype(
-    {
-        "names": ["row", "previous", "seq", "episode_length", "env", "steps", "flags", "rows_hash"],
-        "formats": ["<i8", "<i8", "<i8", "<i8", "<i4", "<i4", "u1", "<u8"],
-        "offsets": [0, 8, 16, 24, 32, 36, 40, 48],
-        "itemsize": RECORD_BYTES,
-    }
-)
 _MIN_COMPACTED_BYTES = 4096 * RECORD_BYTES
-
-Numbers = npt.NDArray[np.void]
 
 
 class Record(NamedTuple):
@@ -65,23 +54,15 @@ class Record(NamedTuple):
         return data + _CHECKSUM.pack(zlib.crc32(data))
 
 
-def unpack(data: bytes, position: int) -> Record:
-    """Decode a record whose checksum was found right."""
-    values = _PACKED.unpack_from(data, position * RECORD_BYTES)
-    return Record._make((*values[:-1], values[-1].rstrip(b"\0").decode()))
-
-
-def numbers(data: bytes) -> Numbers:
-    """View the numbers of all complete records, named as in `Record`."""
-    return np.frombuffer(data, _NUMBERS, count=len(data) // RECORD_BYTES)
-
-
-def is_whole(data: memoryview, position: int) -> bool:
-    """Whether the checksum of a record is right."""
+def unpack(data: bytes, position: int) -> Record | None:
+    """Decode a record; ``None`` where its checksum is not right."""
     begin = position * RECORD_BYTES
     end = begin + _PACKED.size
     (crc,) = _CHECKSUM.unpack_from(data, end)
-    return bool(zlib.crc32(data[begin:end]) == crc)
+    if zlib.crc32(data[begin:end]) != crc:
+        return None
+    *values, actor = _PACKED.unpack_from(data, begin)
+    return Record._make((*values, actor.rstrip(b"\0").decode()))
 
 
 class Index:
@@ -126,8 +107,8 @@ class Index:
 
     def _compact(self, begin: int) -> None:
         data = os.pread(self._file, self._size, 0)
-        found = numbers(data)
-        dead = int((found["row"] + found["steps"]).searchsorted(begin, side="right"))
+        starts = range(0, self._size, RECORD_BYTES)
+        dead = bisect_right(starts, begin, key=lambda i: sum(_ROW_AND_STEPS.unpack_from(data, i)))
         write_atomically(self._path, data[dead * RECORD_BYTES :])
         os.close(self._file)
         self._file = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)

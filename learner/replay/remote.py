@@ -34,8 +34,8 @@ class ServedReplay:
         replay: Where to sample; the learner goes on inserting and sampling.
         generation: Which start of the learner this is.
         share: Of the time that may go into answers, above 0 and up to 1.
-        clock: Seconds, from anywhere.
-        rest: Waits so many seconds.
+        clock: Tells seconds.
+        rest: Waits for seconds.
     """
 
     def __init__(

@@ -75,10 +75,8 @@ class Replay:
     def insert(self, segment: Segment) -> range:
         """Add the steps of a segment, evicting as many of the oldest as do not fit.
 
-        In a directory they survive the death of this process when this returns.
-
-        Returns:
-            The numbers of their rows, T of them.
+        In a directory they survive the death of this process when this returns the numbers of
+        their rows.
 
         Raises:
             UsageError: The replay is read only or closed.
@@ -105,15 +103,8 @@ class Replay:
         """Draw transitions with replacement; the same generator draws the same.
 
         Each goes over ``n_step`` steps, or fewer where the episode ends before, or is not known
-        further; it never leaves the episode.
-
-        Args:
-            batch_size: B.
-            rng: Source of the draw.
-            n_step: Steps that a transition goes over at most.
-            gamma: Discount of one step.
-            prioritised: Draw in proportion to the priorities, else uniformly.
-            beta: How far importance weights make up for that: 0 not, 1 fully.
+        further; it never leaves the episode. The draw is uniform or in proportion to the
+        priorities; then importance weights make up for that, with ``beta`` 0 not, with 1 fully.
 
         Raises:
             UsageError: The replay is empty, or B or n is below 1.
@@ -138,11 +129,9 @@ class Replay:
             return self._ring.slots.obs[self._ring.slot(rows)]
 
     def update_priorities(self, row: Rows, priority: Array | Floats) -> None:
-        """Set the priorities of sampled rows; those evicted since are passed over.
+        """Set the priorities, for example absolute TD errors, of sampled rows, ``[B]``.
 
-        Args:
-            row: As sampled, ``[B]``; where one is named twice, the last priority counts.
-            priority: 0 or more, for example absolute TD errors, ``[B]``.
+        Rows that were evicted since are passed over; of two priorities of one row the last counts.
 
         Raises:
             UsageError: A priority is negative or not finite.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import xxhash
 
-from a2s.learner.replay.index import CONTINUES, STARTS, TERMINATED, TRUNCATED, Numbers, Record
+from a2s.learner.replay.index import CONTINUES, STARTS, TERMINATED, TRUNCATED, Record
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
 
@@ -121,27 +121,6 @@ class Ring:
         self.end = record.end
         self.begin = max(self.begin, self.end - self.capacity)
         self._remember(record)
-
-    def restore(self, found: Numbers, live: list[Record], end: int) -> None:
-        """Make rows live that lie there already.
-
-        Args:
-            found: The numbers of successive records, whose rows were not written over.
-            live: Those with a live row.
-            end: Number of the row that comes next.
-        """
-        self.begin = self.end = end
-        if not len(found):
-            return
-        self.begin = max(int(found["row"][0]), end - self.capacity)
-        size = self.size
-        self._distance[np.arange(self.begin, self.end) % size] = 1
-        last = found["row"] + found["steps"] - 1
-        self._distance[last[last >= self.begin] % size] = 0
-        linked = found[found["previous"] >= self.begin]
-        self._distance[linked["previous"] % size] = linked["row"] - linked["previous"]
-        for record in live:
-            self._remember(record)
 
     def follow(self, row: Rows) -> Rows:
         """Find the next step of the same episode, ``[B]``; the row itself where none is known.

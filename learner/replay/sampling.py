@@ -63,7 +63,7 @@ class Priorities:
 
     Args:
         ring: The rows.
-        priority: Where the priorities lie, float32 ``[S]`` for S slots.
+        priority: Where the priorities lie, float32 ``[S]``.
         alpha: Exponent: 0 is uniform, 1 fully proportional.
 
     Attributes:
@@ -92,22 +92,18 @@ class Priorities:
 
     def evict(self, begin: int, end: int) -> None:
         """Draw the rows from ``begin`` to below ``end`` no more."""
-        if self._tree is None or begin == end:
+        if self._tree is None:
             return
-        size = len(self._priority)
-        first, last = begin % size, (end - 1) % size + 1
-        if first < last:
-            self._tree.assign_range(first, last, 0.0)
-        else:
-            self._tree.assign_range(first, size, 0.0)
-            self._tree.assign_range(0, last, 0.0)
+        first = begin % self._ring.size
+        wrapped = max(0, first + end - begin - self._ring.size)
+        self._tree.assign_range(first, first + end - begin - wrapped, 0.0)
+        if wrapped:
+            self._tree.assign_range(0, wrapped, 0.0)
 
     def draw(self, batch_size: int, beta: float, rng: np.random.Generator) -> tuple[Rows, Array]:
-        """Draw live rows with replacement.
+        """Draw live rows with replacement, int64 ``[B]``.
 
-        Returns:
-            Rows, int64 ``[B]``, and weights ``(chance * len(ring)) ** -beta``, divided by the
-            highest, float32 ``[B]``.
+        Their weights are ``(chance * len(ring)) ** -beta`` over the highest, float32 ``[B]``.
         """
         if self._tree is None:
             from a2s.learner.replay.sum_tree import SumTree  # numba takes half a second

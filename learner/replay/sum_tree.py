@@ -22,11 +22,8 @@ _compiled = numba.njit(cache=True, nogil=True)
 class SumTree:
     """Non-negative leaves, ``[N]``, drawn with a chance in proportion to each.
 
-    Nodes and their sums are float32, which halves the memory that a draw touches; what is left of
-    a share on the way down is float64.
-
-    Attributes:
-        leaves: Their values, float32 ``[N]``; not to be written to.
+    Nodes, ``leaves`` among them, are float32, which halves the memory that a draw touches; what is
+    left of a share on the way down is float64.
     """
 
     def __init__(self, leaves: Array) -> None:
@@ -109,10 +106,8 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats]:
     """Find a node in each of B shares, ``within`` 0..1 of it, on a level of at most 16 B nodes.
 
-    Shares ascend, so that one walk over the level finds all of them.
-
-    Returns:
-        The level, the nodes ``[B]``, and what is left of each share in its node ``[B]``.
+    Shares ascend, so that one walk over the level finds all of them. Returns the level, the nodes
+    ``[B]``, and what is left of each share in its node ``[B]``.
     """
     total = 0.0
     for child in range(starts[-1], len(nodes)):
