@@ -207,14 +207,9 @@ class Rollout:
         slot.begin_episode()
 
     def _cut(
-        self,
-        slot: _Slot,
-        notice: Notice,
-        *,
-        terminated: bool = False,
-        truncated: bool = False,
+        self, slot: _Slot, notice: Notice, *, terminated: bool = False, truncated: bool = False,
         told: tuple[EpisodeMetric, ...] = (),
-    ) -> Iterator[Segment]:
+    ) -> Iterator[Segment]:  # fmt: skip
         """Make a segment of the steps so far, if there are any."""
         if not slot.rows:
             return

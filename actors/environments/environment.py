@@ -63,19 +63,14 @@ class Environment:
         self._begin(MAKE, index)
         try:
             self._env, takes_seed = make(config, worker, index)
-            self.layout: Layout = read_layout(config.env_id, self._env.observation_space)
+            space: Any = self._env.observation_space
+            self.layout: Layout = read_layout(config.env_id, space, config.frame_stack)
             self.spaces = read_spaces(config.env_id, self._env, config.frame_stack)
         except BaseException as error:  # whatever a user's code raises
             raise as_usage(config, error) or self._faults.of_make(error) from error
         self._end()
-        if config.frame_stack > 1:
-            self.layout = [
-                (f"{name}, {config.frame_stack - 1 - age} before", size)
-                for age in range(config.frame_stack)
-                for name, size in self.layout
-            ]
         self.episode_limit = limit_of(self._env)
-        space: Any = self._env.action_space
+        space = self._env.action_space
         self._action_dtype, self._action_shape = space.dtype, space.shape
         self._rounds = not np.issubdtype(space.dtype, np.floating)
         self._is_plain = not self._rounds and len(space.shape) == 1

@@ -36,13 +36,17 @@ def read_spaces(env_id: str, env: Env, frame_stack: int) -> Spaces:
     return Spaces(obs_size=size, action_low=low, action_high=high)
 
 
-def read_layout(env_id: str, space: "spaces.Space[Any]") -> Layout:
-    """Name the parts of a flattened observation and their sizes, in the order of its numbers.
+def read_layout(env_id: str, space: "spaces.Space[Any]", frame_stack: int) -> Layout:
+    """Name the parts of stacked flat observations and their sizes, in the order of the numbers.
 
     Raises:
         UsageError: A part is an image, or cannot be made numbers of a fixed count.
     """
-    return [(name or "obs", flatdim(part)) for name, part in _parts(env_id, space, "")]
+    layout = [(name or "obs", flatdim(part)) for name, part in _parts(env_id, space, "")]
+    if frame_stack == 1:
+        return layout
+    ages = range(frame_stack - 1, -1, -1)
+    return [(f"{name}, {age} before", size) for age in ages for name, size in layout]
 
 
 def _parts(
