@@ -251,6 +251,7 @@ def test_a_file_with_a_mistake_gets_one_line(
     assert said in _usage("learner", "--config", "bad.toml", capsys=capsys)
 
 
+@pytest.mark.slow
 def test_every_command_that_needs_no_torch_does_without_it() -> None:
     """`a2s actor` and `a2s evaluate` must work where only the actor is installed."""
     code = (
