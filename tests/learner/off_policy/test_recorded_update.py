@@ -15,6 +15,8 @@ from a2s.learner.off_policy.state import OffPolicyLearned
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
 
+pytestmark = pytest.mark.slow
+
 OPTIONS: list[dict[str, object]] = [
     {},
     {"target_groups": 2, "selector": "mean"},
