@@ -12,7 +12,7 @@ from a2s.actors.check import check
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
 
-pytestmark = [pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.timeout(120), pytest.mark.slow]
 
 # A parent that starts a child, says its number, and waits to be killed.
 PARENT = """

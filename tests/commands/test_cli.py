@@ -159,6 +159,7 @@ def test_the_options_of_the_environment_are_a_group_of_their_own(command: str) -
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_every_command_that_needs_no_torch_does_without_it() -> None:
     """`a2s actor` and `a2s evaluate` must work where only the actor is installed."""
     code = (

@@ -23,8 +23,7 @@ import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-# One group: they share one Prometheus.
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.xdist_group("prometheus")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 T = TypeVar("T")
 REQUIRE = "A2S_REQUIRE_PROMETHEUS"

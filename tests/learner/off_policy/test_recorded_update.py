@@ -15,6 +15,8 @@ from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
 from a2s.learner.run.config import off_policy
 
+pytestmark = pytest.mark.slow
+
 OPTIONS: list[dict[str, object]] = [
     {},
     {"target_groups": 2},

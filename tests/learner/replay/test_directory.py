@@ -60,6 +60,7 @@ def opened(path: Path, **how: object) -> Iterator[Replay]:
 
 
 @pytest.mark.parametrize("capacity", [50, FOREVER])
+@pytest.mark.slow
 def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
     tmp_path: Path, capacity: int
 ) -> None:
