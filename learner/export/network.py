@@ -36,12 +36,7 @@ def critic_numbers(name: str, ensemble: Ensemble, action_size: int, member: int 
 def add_network(nodes: Nodes, name: str, layers: Sequence[Layer], x: str, *, rows: bool) -> str:
     """Append layers; returns the name of the output.
 
-    Args:
-        nodes: To append to.
-        name: Of the network's numbers.
-        layers: Of the network.
-        x: Name of the input, of any number of dimensions.
-        rows: It has two: a Linear is then one node.
+    The input x has any number of dimensions; where it is ``rows``, two, a Linear is one node.
     """
     for layer in layers:
         match layer:
@@ -66,17 +61,9 @@ def add_network(nodes: Nodes, name: str, layers: Sequence[Layer], x: str, *, row
 
 
 def add_critic(nodes: Nodes, name: str, form: Form, obs: str, action: str) -> str:
-    """Append a critic; the observation's part of the first layer is computed once for all K.
+    """Append a critic of ``[B, D]`` and ``[B, K, A]``; returns its means, ``[B, K, 1]``.
 
-    Args:
-        nodes: To append to.
-        name: Of the critic's numbers.
-        form: Of the critic.
-        obs: Name of the normalised observations, ``[B, D]``.
-        action: Name of the actions, ``[B, K, A]``.
-
-    Returns:
-        Name of the means of the outputs, ``[B, K, 1]``.
+    The observation's part of the first layer is computed once for all K.
     """
     shared = add_network(nodes, name, form.trunk, obs, rows=True)
     shared = nodes.add("Gemm", shared, f"{name}.obs", f"{name}.bias.{form.first.index}")

@@ -30,13 +30,7 @@ class _Kind(NamedTuple):
 def export(
     suggester: OffPolicySuggester, weights_version: int, metadata: Mapping[str, str]
 ) -> bytes:
-    """Write a suggester with its present weights as one self-contained ONNX file.
-
-    Args:
-        suggester: What to write; any of its modes.
-        weights_version: Goes into the file's metadata.
-        metadata: Further entries; those of the file itself take precedence, as on-policy.
-    """
+    """Write a suggester with its present weights as one self-contained ONNX file, as on-policy."""
     policy, critics = suggester.policy, suggester.critics
     kind = _Kind(
         policy=policy.form,

@@ -29,15 +29,7 @@ class _Kind(NamedTuple):
 def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, str]) -> bytes:
     """Write a suggester with its present weights as one self-contained ONNX file.
 
-    Args:
-        suggester: What to write; any of its modes.
-        weights_version: Goes into the file's metadata.
-        metadata: Further entries, such as ``env``. The file's own entries (``contract``,
-            ``weights_version``, ``K``, ``mode``, ``obs_size``, ``action_size``, ``action_low``,
-            ``action_high``) take precedence.
-
-    Returns:
-        The serialised model.
+    ``metadata`` are further entries, such as ``env``; those of `own_metadata` take precedence.
     """
     policy, q_net = suggester.policy, suggester.q_net
     kind = _Kind(
