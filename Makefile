@@ -31,15 +31,15 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 
 test-fast: setup ## Run the tests that start no run, in less than a minute
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup -m "not system and not slow" $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not system and not slow" $(ARGS)
 
 test: setup ## Run the tests, two at a time, but for the long ones
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup -m "not long" $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not long" $(ARGS)
 
 test-all: setup ## Run all tests
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
 
 test-external: setup ## Train one environment of each other package for 3,000 steps
 	@bash tests/external/run.sh 3000 one

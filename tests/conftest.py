@@ -9,12 +9,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from xdist.scheduler import LoadScopeScheduling
 
 from a2s.learner.export.on_policy import export
 from a2s.learner.on_policy.update import OnPolicy
@@ -22,8 +20,6 @@ from a2s.learner.run.config import on_policy
 from a2s.protocol.messages import Notice
 
 PLUGIN = Path(__file__).parent / "plugin"
-# All tests of such a file go to one worker of xdist, so that they share one run.
-SHARE_A_RUN = ("tests/deploy/test_prometheus.py", "tests/system/test_cases_same.py")
 sys.path.insert(0, str(PLUGIN))
 # Processes that tests start find the plug-in environments too.
 os.environ["PYTHONPATH"] = os.pathsep.join(
@@ -33,21 +29,6 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 MakeGraph = Callable[..., bytes]
 WaitFor = Callable[..., None]
 NoRoom = Callable[[], AbstractContextManager[None]]
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Group tests by file for loadgroup: its own marks have no effect under pytest 9.2."""
-    if config.getvalue("dist") != "loadgroup":
-        return None
-    scheduler = LoadScopeScheduling(config, log)
-    scheduler._split_scope = _group
-    return scheduler
-
-
-def _group(test: str) -> str:
-    file = test.split("::")[0]
-    return file if file in SHARE_A_RUN else test
 
 
 @pytest.fixture(autouse=True)
