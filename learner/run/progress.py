@@ -13,6 +13,8 @@ from a2s.learner.ingest.members import Member
 from a2s.learner.numerals import written
 from a2s.learner.run.status import Status
 
+_BARS = " ▁▂▃▄▅▆▇█"
+_CURVE_POINTS = 60
 _LIVE_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
 _PATIENCE_S = 3.0
@@ -72,7 +74,7 @@ class _Display(Progress):
 
 
 class LiveView:
-    """A bar and the numbers, redrawn in place."""
+    """A bar, the curve of returns and the numbers, redrawn in place."""
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
@@ -88,6 +90,8 @@ class LiveView:
         self._task: TaskID | None = None
         self._drawn_s = 0.0
         self._waiting_since_s: float | None = None
+        self._curve: list[float] = []
+        self._rows = 0
 
     def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
         """Redraw if it is time to."""
@@ -97,12 +101,16 @@ class LiveView:
         if now_s - self._drawn_s < _LIVE_EVERY_S:
             return
         self._drawn_s = now_s
+        mean = status.episodes.mean_return
+        if mean is not None and status.rows != self._rows:
+            self._curve, self._rows = thin([*self._curve, mean]), status.rows
         done, total = status.env_steps, status.run.total_steps
         if self._task is None:
             display.start()
             self._task = display.add_task(self._title, total=total, completed=done, rate=0.0)
         display.update(self._task, completed=done, rate=display.tasks[0].speed or 0.0)
-        display.lines = tuple(_lines(status, members, kl, now_s - self._waiting_since_s))
+        waited_s = now_s - self._waiting_since_s
+        display.lines = (sparkline(self._curve), *_lines(status, members, kl, waited_s))
         display.refresh()
 
     def close(self) -> None:
@@ -139,6 +147,18 @@ def _lines(
         yield "  ".join(f"{name} {mean:.3g}" for name, mean in [*metrics.items()][:3])
     if status.waiting_for and waited_s > _PATIENCE_S:
         yield f"waiting {waited_s:.0f} s for {status.waiting_for}"
+
+
+def thin(curve: list[float]) -> list[float]:
+    """Halve a curve that has become too long, keeping its last point."""
+    return curve if len(curve) <= _CURVE_POINTS else curve[::-2][::-1]
+
+
+def sparkline(curve: Sequence[float]) -> str:
+    """Draw a curve in one line of blocks."""
+    low, high = min(curve, default=0.0), max(curve, default=0.0)
+    scale = (len(_BARS) - 1) / (high - low) if high > low else 0.0
+    return "".join(_BARS[round((point - low) * scale)] for point in curve)
 
 
 def _number(value: float | None) -> str:

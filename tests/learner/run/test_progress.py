@@ -7,7 +7,7 @@ from rich.console import Console
 
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.config import RunConfig
-from a2s.learner.run.progress import LiveView, PlainView
+from a2s.learner.run.progress import LiveView, PlainView, sparkline, thin
 from a2s.learner.run.status import Status
 
 ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=0.0) for name in "ab"]
@@ -55,3 +55,14 @@ def test_the_display_shows_the_numbers(status: Status) -> None:
     text = out.getvalue()
     for expected in ("hopper", "2,048 of 10,000", "103.2", "2 with 16 environments", "0.0123"):
         assert expected in text
+
+
+def test_a_curve_is_drawn_between_its_extremes_and_never_longer_than_a_line() -> None:
+    """The newest point stays when a long curve is halved."""
+    assert sparkline([0.0, 1.0, 2.0]) == " ▄█"
+    assert sparkline([]) == ""
+    curve: list[float] = []
+    for value in range(200):
+        curve = thin([*curve, float(value)])
+        assert curve[-1] == value
+        assert len(curve) <= 60
