@@ -9,7 +9,7 @@ ARGS ?=
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-all test-external check format docs build clean
+.PHONY: help setup train test test-fast test-all test-external check format docs build clean
 
 help: ## Show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -29,13 +29,17 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 	@echo "== a2s train $(TRAIN_DEFAULTS) $(ARGS)"
 	@$(BIN)/a2s train $(TRAIN_DEFAULTS) $(ARGS)
 
-test: setup ## Run the tests, two at a time, but for 13 that take long
+test-fast: setup ## Run the tests that start no run, in less than a minute
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup -m "not long" $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not system and not slow" $(ARGS)
+
+test: setup ## Run the tests, two at a time, but for the long ones
+	@echo "== pytest"
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not long" $(ARGS)
 
 test-all: setup ## Run all tests
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
 
 test-external: setup ## Train one environment of each other package for 3,000 steps
 	@bash tests/external/run.sh 3000 one

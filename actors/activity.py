@@ -15,13 +15,7 @@ _WIDTH = 8  # of a call's number in the sum of call and environment
 
 
 class Doing(NamedTuple):
-    """A call that has not returned.
-
-    Attributes:
-        call: Which.
-        env_index: Of which environment.
-        since_s: Seconds since it began.
-    """
+    """A call into an environment that has not returned."""
 
     call: Call
     env_index: int
@@ -36,7 +30,7 @@ class Activity:
     """The page: when the present call began, and which it is.
 
     Args:
-        fd: Of a page that is shared, see `share`; ``None``: nobody else reads it.
+        fd: Of a shared page, see `share`; ``None``: nobody else reads it.
     """
 
     def __init__(self, fd: int | None = None) -> None:

@@ -3,20 +3,21 @@
 import logging
 import threading
 import time
+import uuid
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import monotonic
 
-from a2s.actors.activity import Activity
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import seed_globals
-from a2s.actors.metrics import Tally
-from a2s.actors.outbox import Spool
+from a2s.actors.metrics import ActorMetrics, total
+from a2s.actors.outbox import Outbox
+from a2s.actors.parent import Parent
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
-from a2s.actors.weights_client import Newest
+from a2s.actors.weights_client import WeightsClient
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError
@@ -32,62 +33,63 @@ _STATUS_EVERY_S = 1.0
 _LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
 _PATIENCE_S = 10.0
-_QUOTAS_IN_SPOOL = 2
+_QUOTAS_IN_OUTBOX = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What a worker process is told by its supervisor.
+
+    Attributes:
+        label: Place among the workers, for names and messages, for example ``host-0``.
+        worker: The number in it.
+        connect: Endpoint of the learner.
+        num_envs: Environments to step; ``None`` leaves it to the learner.
+        outbox_steps: Steps that may wait for an answer.
+        cause: Why the process before it in its place had to be replaced; empty if none had.
+    """
+
+    label: str
+    worker: int
+    connect: str
+    run: str
+    num_envs: int | None
+    outbox_steps: int
+    cause: str = ""
 
 
 class Actor:
-    """One actor of a run.
+    """One actor of a run; its name is new for every process.
 
     Args:
-        name: Unique among the actors of the run, and new for every process.
-        worker: Its number on this machine.
-        cause: Why the process before it in its place had to be replaced; empty if none had.
-        bus: A connection to the learner.
-        run: Name of the run.
-        num_envs: Environments to step; ``None`` leaves it to the learner.
-        spool_steps: Steps that may wait for an answer.
-        tally: Where everything is counted.
-        activity: Where calls into environments are noted.
-        stopped: Set when the actor is to stop.
-        on_environment: Told which environment is made, before it is.
         on_failure: Told what ends the actor, before environments are closed: that may hang.
-        report: Called about once a second, on a thread of its own.
+
+    Attributes:
+        env_id: Of the environment; empty until the learner has told it.
     """
 
     def __init__(
         self,
-        *,
-        name: str,
-        worker: int,
-        cause: str,
+        task: Task,
         bus: Bus,
-        run: str,
-        num_envs: int | None,
-        spool_steps: int,
-        tally: Tally,
-        activity: Activity,
-        stopped: threading.Event,
-        on_environment: Callable[[EnvConfig], None],
+        metrics: ActorMetrics,
+        parent: Parent,
         on_failure: Callable[[A2SError], None],
-        report: Callable[[], None],
     ) -> None:
-        self._name = name
-        self._worker = worker
-        self._cause = cause
+        self.env_id = ""
+        self._name = f"{task.label}-{uuid.uuid4().hex[:8]}"
+        self._task = task
         self._bus = bus
-        self._keys = Keys(run)
-        self._num_envs = num_envs
-        self._tally = tally
-        self._activity = activity
-        self._stopped = stopped
-        self._on_environment, self._on_failure = on_environment, on_failure
-        self._report = report
+        self._keys = Keys(task.run)
+        self._metrics = metrics
+        self._parent, self._stopped, self._on_failure = parent, parent.stopped, on_failure
         self._troubles = Troubles()
-        self._newest = Newest(bus, self._keys)
+        self._weights = WeightsClient(bus, self._keys)
         self._joining: Hello | None = None
-        self._spool = Spool(
-            bus, self._keys.segment, spool_steps, self._newest.hear, self._join_again, tally
-        )
+        self._outbox = Outbox(
+            bus, self._keys.segment, task.outbox_steps, self._weights.hear, self._join_again,
+            metrics,
+        )  # fmt: skip
         self._welcome: Welcome | None = None
         self._notice: Notice | None = None
         self._rollout: Rollout | None = None
@@ -107,86 +109,80 @@ class Actor:
         heartbeat = threading.Thread(target=self._beat, name="heartbeat")
         heartbeat.start()
         try:
-            task = self._ask()
-            if task is not None:
-                self._welcome = task
-                self._play(task)
+            nothing = Hello(actor=self._name, num_envs=0, env_id="", spaces=None)
+            self._welcome = self._hello(nothing)  # which environment, and how many
+            if self._welcome is not None:
+                self._play(self._welcome)
         finally:
-            left = self._spool.close(_DRAIN_S if self._stopped.is_set() else 0.0)
+            left = self._outbox.close(_DRAIN_S if self._stopped.is_set() else 0.0)
             self._ended.set()
             heartbeat.join()
             self._publish_status(leaving=True)
             if left:
                 logger.warning("segments never answered actor=%s segments=%d", self._name, left)
 
-    def _ask(self) -> Welcome | None:
-        try:
-            return self._hello(Hello(actor=self._name, num_envs=0, env_id="", spaces=None))
-        except A2SError as error:
-            self._on_failure(error)
-            raise
-
-    def _play(self, task: Welcome) -> None:
-        config = task.env or EnvConfig(env_id=task.env_id)
-        self._on_environment(config)
+    def _play(self, told: Welcome) -> None:
+        """Make the environments, play in them, and close them."""
+        config = told.env or EnvConfig(env_id=told.env_id)
+        self.env_id = config.env_id
+        self._parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
         # Before it has joined an actor has no place, and so is like all others.
-        seed_globals(task.seed)
+        seed_globals(told.seed)
         with ExitStack() as stack:
             try:
-                environments = [
-                    stack.enter_context(closing(self._environment(config, index, task)))
-                    for index in range(self._num_envs or task.num_envs)
-                ]
+                environments = []
+                for index in range(self._task.num_envs or told.num_envs):
+                    environment = Environment(
+                        config,
+                        worker=self._task.worker,
+                        index=index,
+                        activity=self._parent.activity,
+                        offset=told.spaces.obs_offset,
+                    )
+                    environments.append(stack.enter_context(closing(environment)))
                 require_alike(environments)
-                self._play_in(environments, task.env_id)
+                self._play_in(environments, told.env_id)
             except A2SError as error:
                 self._on_failure(error)
                 raise
 
-    def _environment(self, config: EnvConfig, index: int, task: Welcome) -> Environment:
-        return Environment(
-            config,
-            worker=self._worker,
-            index=index,
-            activity=self._activity,
-            offset=task.spaces.obs_offset,
-        )
-
     def _play_in(self, environments: list[Environment], env_id: str) -> None:
-        num_envs = len(environments)
         hello = Hello(
             actor=self._name,
-            num_envs=num_envs,
+            num_envs=len(environments),
             env_id=env_id,
             spaces=environments[0].spaces,
-            cause=self._cause,
-            slot=self._worker,
+            cause=self._task.cause,
+            slot=self._task.worker,
         )
         welcome = self._join(hello)
         suggester: Suggester | None = None
         while welcome is not None:
             if self._rollout is None:
                 self._rollout = Rollout(
-                    self._name, environments, welcome.seed, self._tally, self._troubles
+                    self._name, environments, welcome.seed, self._metrics, self._troubles
                 )
             known = self._notice if welcome.clock == "lockstep" else None
-            notice = self._newest.other_than(known, self._wait_for_weights)
+            notice = self._weights.other_than(known, self._wait_for_weights)
             if notice is None:
                 return
-            if notice.generation != welcome.generation or self._is_of_another_run(notice):
+            # Versions that begin anew are of a learner without the past of the one before.
+            begins_anew = self._notice is not None and notice.version < self._notice.version
+            if notice.generation != welcome.generation or begins_anew:
                 welcome = self._join(replace(hello, cause=""))
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
                 suggester = self._pull() or suggester
                 if welcome.clock == "async" and self._notice is not None:
                     # What waits long is of weights that are long gone.
-                    self._spool.narrow(_QUOTAS_IN_SPOOL * self._notice.quota_steps * num_envs)
+                    quota_steps = self._notice.quota_steps * len(environments)
+                    self._outbox.narrow(_QUOTAS_IN_OUTBOX * quota_steps)
             if suggester is not None and self._notice is not None:
                 self._send(suggester, self._notice, self._rollout)
 
     def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:
         def interrupted() -> bool:
-            return self._stopped.is_set() or self._newest.overrules(notice)
+            return self._stopped.is_set() or self._weights.overrules(notice)
 
         self._waiting_since_s = None
         dropped = self._troubles.dropped_steps
@@ -194,11 +190,11 @@ class Actor:
             if self._troubles.dropped_steps != dropped:  # known before the segment is learned from
                 dropped = self._troubles.dropped_steps
                 self._publish_status(leaving=False)
-            answered = self._spool.answered
-            while not self._spool.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
-                if self._spool.answered > answered:  # the learner is there, and holds us back
-                    answered, self._waiting_since_s = self._spool.answered, None
-                self._say_waiting("room in the spool: the learner has answered no segment")
+            answered = self._outbox.answered
+            while not self._outbox.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
+                if self._outbox.answered > answered:  # the learner is there, and holds us back
+                    answered, self._waiting_since_s = self._outbox.answered, None
+                self._say_waiting("room in the outbox: the learner has answered no segment")
             self._waiting_since_s = None
 
     def _join(self, hello: Hello) -> Welcome | None:
@@ -207,22 +203,18 @@ class Actor:
         if welcome is not None:
             self._welcome, self._notice = welcome, None
             self._joining = replace(hello, cause="")  # it has been told
-            self._newest.forget()
-            self._tally.count("joins")
+            self._weights.forget()
+            self._metrics.joins.inc()
             logger.info(
                 "joined run=%s generation=%d slot=%d env=%s envs=%d",
                 welcome.run, welcome.generation, welcome.slot, hello.env_id, hello.num_envs,
             )  # fmt: skip
         return welcome
 
-    def _is_of_another_run(self, notice: Notice) -> bool:
-        """Whether versions have begun anew: a learner was started without the past of the last."""
-        return self._notice is not None and notice.version < self._notice.version
-
     def _join_again(self) -> None:
-        """Say hello as when joining: the learner took this actor off its roster.
+        """Say hello as when joining, once: the learner does not count this actor as a member.
 
-        Once, on the sender's thread; when it does not help the segment is unknown again.
+        On the sender's thread; when it does not help, the segment is unknown again.
         """
         if self._joining is not None:
             self._bus.ask(self._keys.hello, encode(self._joining), _ASK_TIMEOUT_S)
@@ -231,30 +223,29 @@ class Actor:
         payload = encode(hello)
         while self._proceed():
             reply = self._bus.ask(self._keys.hello, payload, _ASK_TIMEOUT_S)
-            if reply is None:
-                self._say_waiting(f"the learner of run {self._keys.run!r} to answer a hello")
-                self._stopped.wait(_ASK_AGAIN_S)
-                continue
-            answer = decode(reply, Welcome, Refusal)
-            if isinstance(answer, Refusal):
-                raise RefusedError(f"the learner refused this actor: {answer.reason}")
-            assert isinstance(answer, Welcome)
-            self._waiting_since_s = None
-            return answer
+            if reply is not None:
+                answer = decode(reply, Welcome, Refusal)
+                if isinstance(answer, Refusal):
+                    raise RefusedError(f"the learner refused this actor: {answer.reason}")
+                assert isinstance(answer, Welcome)
+                self._waiting_since_s = None
+                return answer
+            self._say_waiting(f"the learner of run {self._keys.run!r} to answer a hello")
+            self._stopped.wait(_ASK_AGAIN_S)
         return None
 
     def _pull(self) -> Suggester | None:
-        weights = self._newest.pull()
+        weights = self._weights.pull()
         if weights is None:
             self._stopped.wait(_ASK_AGAIN_S)
             return None
         before, self._notice = self._notice, weights.notice
         if before is not None and weights.notice.epoch > before.epoch:
-            self._tally.count("recovery_events", weights.notice.epoch - before.epoch)
-        self._tally.gauge("weights_version", weights.notice.version)
-        self._tally.gauge("epoch", weights.notice.epoch)
-        self._tally.gauge("weights_received_timestamp_seconds", time.time())
-        self._tally.count("weights_received_bytes", len(weights.graph))
+            self._metrics.recoveries.inc(weights.notice.epoch - before.epoch)
+        self._metrics.weights_version.set(weights.notice.version)
+        self._metrics.epoch.set(weights.notice.epoch)
+        self._metrics.weights_received.set(time.time())
+        self._metrics.weights_received_bytes.inc(len(weights.graph))
         return Suggester(weights.graph)
 
     def _wait_for_weights(self) -> bool:
@@ -265,25 +256,25 @@ class Actor:
         return not self._stopped.is_set()
 
     def _beat(self) -> None:
-        """Tell how it goes once a second, also while an environment keeps the actor waiting."""
+        """Publish a status once a second, also while an environment keeps the actor waiting."""
         while not self._ended.wait(_STATUS_EVERY_S):
-            self._report()
+            self._parent.report(self._metrics.report())
             self._publish_status(leaving=False)
 
     def _publish_status(self, *, leaving: bool) -> None:
         if self._welcome is None:
             return
-        doing = self._activity.now()
+        doing = self._parent.activity.now()
         status = ActorStatus(
             actor=self._name,
             slot=self._welcome.slot,
             weights_version=self._notice.version if self._notice else 0,
             epoch=self._notice.epoch if self._notice else 0,
-            env_steps=int(self._tally.total("env_steps")),
-            episodes=int(self._tally.total("episodes")),
+            env_steps=int(total(self._metrics.env_steps)),
+            episodes=int(total(self._metrics.episodes)),
             segments_sent=self._rollout.segments_made if self._rollout else 0,
-            segments_answered=self._spool.answered,
-            spooled_steps=self._spool.steps,
+            segments_answered=self._outbox.answered,
+            spooled_steps=self._outbox.steps,
             leaving=leaving,
             doing="" if doing is None else str(doing),
             dropped_steps=self._troubles.dropped_steps,

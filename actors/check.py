@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env
 
 from a2s.actors.activity import CLOSE, MAKE, RESET, STEP, Activity
-from a2s.actors.children import Report, Watch, ask_child
+from a2s.actors.children import Report, ask_child
 from a2s.actors.environments.environment import Environment
 from a2s.actors.environments.making import make, seed_globals
 from a2s.actors.parent import Parent, answer
@@ -21,22 +21,18 @@ from a2s.protocol.errors import said_by
 
 _STEPS = 2000
 _SECONDS = 5.0
-_MOST_REMARKS = 10
+_MAX_REMARKS = 10
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
 def check(config: EnvConfig, on_words: Callable[[str], None]) -> Report:
-    """Try an environment.
-
-    Returns:
-        The JSON object of ``a2s check --json``.
+    """Try an environment; give the JSON object of ``a2s check --json``.
 
     Raises:
         UsageError: There is no such environment, or its spaces are not supported.
         FaultyEnvironmentError: It raised, hung, died, or gave what none may.
     """
-    watch = Watch(config.env_id, config.timeout_s, on_words)
-    return ask_child(__name__, {"env": config.to_json()}, watch, on_words, lambda: True)
+    return ask_child(__name__, config, on_words)
 
 
 def _play(environment: Environment, rng: np.random.Generator) -> Report:
@@ -134,7 +130,6 @@ def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
 
 def _check(parent: Parent) -> None:
     config = EnvConfig.from_json(parent.task["env"])
-    rng = np.random.default_rng(0)
     environment = Environment(config, activity=parent.activity)
     spaces = environment.spaces
     middle = ((spaces.action_low + spaces.action_high) / 2).astype(np.float32)
@@ -148,10 +143,10 @@ def _check(parent: Parent) -> None:
         "action_high": spaces.action_high.tolist(),
         "max_episode_steps": environment.episode_limit,
         "repeats": _repeats(environment, middle),
-        **_play(environment, rng),
+        **_play(environment, np.random.default_rng(0)),
     }
     environment.close()
-    remarks = _remarks(config, parent.activity)[:_MOST_REMARKS]
+    remarks = _remarks(config, parent.activity)[:_MAX_REMARKS]
     parent.report({"result": {**found, "remarks": remarks}})
 
 

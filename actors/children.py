@@ -10,6 +10,7 @@ import contextlib
 import json
 import logging
 import os
+import queue
 import selectors
 import signal
 import subprocess
@@ -21,15 +22,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from a2s.actors.activity import Activity, Doing, share
-from a2s.actors.families import FAMILY, end_family, inherit_orphans
-from a2s.actors.guard import start_guard
+from a2s.actors.families import FAMILY, end_family, inherit_orphans, start_guard
 from a2s.actors.words import Lines, Words
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
 
 logger = logging.getLogger(__name__)
 
 _CHUNK = 1 << 16
 _LOOK_EVERY_S = 0.1
+_POLL_S = 0.02
 _LAST_WORDS_S = 1.0
 _SLOW_S = 10.0
 _STOP_S = 12.0
@@ -83,17 +85,13 @@ class Child:
         finally:
             for fd in (theirs, their_words, their_life, page):
                 os.close(fd)
+        self.pid = self._process.pid
         self._code: int | None = None
         _LIVING.add(self.pid)
         with contextlib.suppress(BrokenPipeError):  # it has died already
             os.write(self._life, (json.dumps(task) + "\n").encode())
         self._reader = threading.Thread(target=self._read, args=(report, words), daemon=True)
         self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        """Its process number."""
-        return self._process.pid
 
     def ended(self) -> int | None:
         """Give its exit code once it has ended, as `subprocess` counts; its family is gone then."""
@@ -104,7 +102,7 @@ class Child:
         return self._code
 
     def doing(self) -> Doing | None:
-        """Tell which call into an environment it is in."""
+        """Give the call into an environment that it is in."""
         return self._activity.now()
 
     def kill(self) -> int:
@@ -126,7 +124,6 @@ class Child:
         """Let it stop; after ``timeout_s`` seconds, and what one ``close`` may take, end it."""
         self.release()
         deadline_s = time.monotonic() + timeout_s
-        pause = threading.Event()
         while self.ended() is None:
             doing = self.doing()
             if doing is not None and doing.call == "close" and doing.since_s < _SLOW_S:
@@ -136,7 +133,7 @@ class Child:
                 logger.warning("environment %s: %s; its process is killed", env_id, what)
                 self.kill()
                 return
-            pause.wait(0.02)
+            time.sleep(_POLL_S)
 
     def _bury(self) -> None:
         # Until it is waited for, no other process can have its number.
@@ -150,7 +147,7 @@ class Child:
 
     def _read(self, report: int, words: int) -> None:
         """Read until nobody can write, or the child has ended and nothing more comes."""
-        lines: dict[int, Lines | Words] = {report: Lines(self._take), words: Words(self._on_words)}
+        lines = {report: Lines(self._take), words: Words(self._on_words)}
         ended_s = 0.0
         with selectors.DefaultSelector() as selector:
             for fd in lines:
@@ -181,7 +178,6 @@ class Watch:
     """Looks whether a child is held up in an environment.
 
     Args:
-        env_id: Of its environment.
         timeout_s: Seconds that a call may take.
         on_slow: Told, once for each call, that one has taken ten seconds.
     """
@@ -210,52 +206,42 @@ class Watch:
 
 def ask_child(
     module: str,
-    task: Mapping[str, Any],
-    watch: Watch,
+    config: EnvConfig,
     on_words: Callable[[str], None],
-    proceed: Callable[[], bool],
+    proceed: Callable[[], bool] = lambda: True,
+    **task: Any,
 ) -> Report:
-    """Run a child that answers once, and end it.
-
-    Args:
-        module: What it runs.
-        task: Told to it.
-        watch: Of its calls.
-        on_words: Told what it prints.
-        proceed: Asked again and again; when false, the child is ended.
+    """Run a child that answers once about an environment, and end it.
 
     Returns:
-        What it reported under ``result``; empty when told not to proceed.
+        What it reported under ``result``; empty once ``proceed``, asked again and again, is false.
 
     Raises:
-        UsageError: So the child said.
-        FaultyEnvironmentError: So it said; or it died, or was held up in a call.
+        UsageError: The child said so.
+        FaultyEnvironmentError: The child said so, died, or was held up in a call.
     """
-    reports: list[Report] = []
-    answered = threading.Event()
-
-    def on_report(report: Report) -> None:
-        reports.append(report)
-        answered.set()
-
-    child = Child(module, task, on_report, on_words)
+    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+    watch = Watch(config.env_id, config.timeout_s, on_words)
+    child = Child(module, {"env": config.to_json(), **task}, reports.put, on_words)
     held_up = ""
     try:
-        while not answered.wait(_LOOK_EVERY_S) and child.ended() is None and not held_up:
+        while reports.empty() and child.ended() is None and not held_up:
             held_up = watch.overdue(child.doing())
             if not proceed():
                 return {}
+            time.sleep(_POLL_S)
         if not held_up:
-            child.stop(watch.env_id, _CLOSE_S)
+            child.stop(config.env_id, _CLOSE_S)
     finally:
         last, code = child.doing(), child.kill()
     if held_up:
         raise FaultyEnvironmentError(held_up)
-    if not reports:
-        raise FaultyEnvironmentError(death_of(watch.env_id, code, last))
-    if "error" in reports[0]:
-        raise error_of(reports[0]["error"])
-    return dict(reports[0]["result"])
+    if reports.empty():
+        raise FaultyEnvironmentError(death_of(config.env_id, code, last))
+    report = reports.get()
+    if "error" in report:
+        raise _error_of(report["error"])
+    return dict(report["result"])
 
 
 def death_of(env_id: str, code: int, doing: Doing | None) -> str:
@@ -271,15 +257,8 @@ def death_of(env_id: str, code: int, doing: Doing | None) -> str:
     return f"environment {env_id}: its process ended by {how}{where}"
 
 
-def told(error: A2SError) -> Report:
-    """Write an error for a parent."""
-    by_mistake = getattr(error, "by_mistake", False)
-    kind = "usage" if isinstance(error, UsageError) else "faulty"
-    return {"kind": kind, "message": str(error), "by_mistake": by_mistake}
-
-
-def error_of(report: Report) -> A2SError:
-    """Read an error of a child."""
+def _error_of(report: Report) -> A2SError:
+    """Read an error that a child told."""
     if report["kind"] == "usage":
         return UsageError(report["message"])
     return FaultyEnvironmentError(report["message"], by_mistake=report["by_mistake"])

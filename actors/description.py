@@ -4,11 +4,12 @@ A learner plays nothing: whatever an environment holds, changes or starts is gon
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from a2s.actors.children import Watch, ask_child
+from a2s.actors.children import ask_child
 from a2s.actors.environments.environment import Environment
 from a2s.actors.environments.making import seed_globals
 from a2s.actors.parent import Parent, answer
@@ -39,32 +40,26 @@ def describe(
     """Make the environment once, reset it, and close it, in another process.
 
     Args:
-        config: Which, and how to make it.
+        config: Of the environment.
         on_words: Told what it prints, and what takes long.
-        proceed: Asked again and again; when false, the process is ended.
-
-    Returns:
-        What it is; ``None`` when told not to proceed.
+        proceed: Asked again and again; when false, the process is ended, and there is no result.
 
     Raises:
         UsageError: There is no such environment, or its spaces are not supported.
         FaultyEnvironmentError: It raised, hung or died.
     """
-    watch = Watch(config.env_id, config.timeout_s, on_words)
-    found = ask_child(__name__, {"env": config.to_json()}, watch, on_words, proceed)
+    found = ask_child(__name__, config, on_words, proceed)
     if not found:
         return None
-    low, high, offset = (
-        None if found[name] is None else np.array(found[name], dtype=np.float32)
-        for name in ("action_low", "action_high", "obs_offset")
-    )
-    assert low is not None
-    assert high is not None
-    spaces = Spaces(obs_size=found["obs_size"], action_low=low, action_high=high, obs_offset=offset)
+    arrays: dict[str, Any] = {
+        name: None if numbers is None else np.array(numbers, dtype=np.float32)
+        for name, numbers in found["arrays"].items()
+    }
+    spaces = Spaces(obs_size=found["obs_size"], **arrays)
     return Description(spaces, [(name, size) for name, size in found["layout"]])
 
 
-def offset_of(obs: "np.typing.NDArray[np.float64]") -> Array | None:
+def offset_of(obs: npt.NDArray[np.float64]) -> Array | None:
     """Choose what is taken off observations: the first one's large numbers, in float32.
 
     float32 has seven digits; a number of a million that changes by a hundredth would not change.
@@ -80,17 +75,13 @@ def _describe(parent: Parent) -> None:
     environment = Environment(EnvConfig.from_json(parent.task["env"]), activity=parent.activity)
     offset = offset_of(environment.first_obs(_SEED))
     spaces = environment.spaces
-    parent.report(
-        {
-            "result": {
-                "obs_size": spaces.obs_size,
-                "action_low": spaces.action_low.tolist(),
-                "action_high": spaces.action_high.tolist(),
-                "obs_offset": None if offset is None else offset.tolist(),
-                "layout": environment.layout,
-            }
-        }
-    )
+    arrays = {
+        "action_low": spaces.action_low.tolist(),
+        "action_high": spaces.action_high.tolist(),
+        "obs_offset": None if offset is None else offset.tolist(),
+    }
+    result = {"obs_size": spaces.obs_size, "arrays": arrays, "layout": environment.layout}
+    parent.report({"result": result})
     environment.close()
 
 

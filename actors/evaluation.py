@@ -5,15 +5,15 @@ import logging
 import math
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from a2s.actors.children import Watch, ask_child
+from a2s.actors.children import ask_child
 from a2s.actors.environments.environment import Environment, require_alike
-from a2s.actors.environments.making import MOST_SEED, seed_globals
+from a2s.actors.environments.making import MAX_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import ENDLESS_STEPS, is_usable
 from a2s.actors.suggester import Mode, Suggester
@@ -37,9 +37,9 @@ class Evaluation:
         metrics: Mean over the episodes of what the environment told at their ends, by name.
     """
 
-    returns: tuple[float, ...]
-    lengths: tuple[int, ...]
-    metrics: dict[str, float] = field(default_factory=dict)
+    returns: list[float]
+    lengths: list[int]
+    metrics: dict[str, float]
 
     @property
     def mean(self) -> float:
@@ -81,50 +81,36 @@ def evaluate(
 
     Args:
         path: Of the policy.
-        mode: How to act.
-        config: Where.
-        episodes: How many.
+        mode: How it acts.
+        config: Of the environment.
+        episodes: Number of them.
         num_envs: Environments at most, side by side.
         seed: Makes the same episodes again; never those of training.
         on_words: Told what the environment prints, and what takes long.
-        proceed: Asked again and again; when false, the process is ended.
-
-    Returns:
-        What the policy reached; ``None`` when told not to proceed.
+        proceed: Asked again and again; when false, the process is ended, and there is no result.
 
     Raises:
         UsageError: The environment cannot be made, or does not fit the policy.
         FaultyEnvironmentError: The environment raised, hung or died.
     """
-    task = {
-        "policy": str(path), "mode": mode, "env": config.to_json(), "episodes": episodes,
-        "num_envs": num_envs, "seed": seed,
-    }  # fmt: skip
-    watch = Watch(config.env_id, config.timeout_s, on_words)
-    found = ask_child(__name__, task, watch, on_words, proceed)
-    if not found:
-        return None
-    return Evaluation(
-        returns=tuple(found["returns"]), lengths=tuple(found["lengths"]), metrics=found["metrics"]
-    )
+    found = ask_child(
+        __name__, config, on_words, proceed,
+        policy=str(path), mode=mode, episodes=episodes, num_envs=num_envs, seed=seed,
+    )  # fmt: skip
+    return Evaluation(**found) if found else None
 
 
-def play(
-    policy: Suggester, config: EnvConfig, environments: list[Environment], episodes: int, seed: int
+def _play(
+    policy: Suggester, environments: list[Environment], episodes: int, seed: int
 ) -> Evaluation:
-    """Play episodes in this process, each from a seed of its own.
-
-    Raises:
-        UsageError: The environments do not fit the policy.
-        FaultyEnvironmentError: One raised, or returned what none may.
-    """
+    """Play episodes, each from a seed of its own."""
     drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
-    *env_seeds, noise_seed = drawn & MOST_SEED
+    *env_seeds, noise_seed = drawn & MAX_SEED
     rng = np.random.default_rng(noise_seed)
-    policy.check(environments[0].spaces, config.env_id)
+    policy.check(environments[0].spaces, environments[0].name)
     seed_globals(int(noise_seed))
     played = _Episodes(environments, [int(s) for s in env_seeds])
-    while playing := played.playing():
+    while playing := sorted(played.obs):
         obs = np.stack([played.obs[index] for index in playing])
         for index, action in zip(playing, policy(obs, rng).action, strict=True):
             played.step(index, action)
@@ -135,12 +121,11 @@ class _Episodes:
     """Episodes that are played in a few environments, each from a seed of its own.
 
     Attributes:
-        obs: What each environment that still plays has shown last, by its index.
+        obs: Latest observation of each environment that still plays, by its index.
     """
 
     def __init__(self, environments: list[Environment], seeds: list[int]) -> None:
-        self._environments = environments
-        self._seeds = seeds
+        self._environments, self._seeds = environments, seeds
         self._returns, self._lengths = [0.0] * len(seeds), [0] * len(seeds)
         self._metrics: dict[str, list[float]] = defaultdict(list)
         self._cut = self._unusable = 0
@@ -149,10 +134,6 @@ class _Episodes:
         self.obs: dict[int, Array] = {}
         for index in range(len(environments)):
             self._begin(index)
-
-    def playing(self) -> list[int]:
-        """Indices of the environments that still play."""
-        return sorted(self.obs)
 
     def step(self, index: int, action: Array) -> None:
         """Make a step in an environment; where its episode ends, begin the next."""
@@ -192,43 +173,28 @@ class _Episodes:
             )  # fmt: skip
         if self._unusable:
             logger.warning(
-                "environment %s: %d steps had numbers that are none or too large; the "
+                "environment %s: %d steps had numbers that are not finite or too large; the "
                 "observation before, or a reward of 0, was used",
                 name, self._unusable,
             )  # fmt: skip
-        return Evaluation(
-            returns=tuple(self._returns),
-            lengths=tuple(self._lengths),
-            metrics={name: float(np.mean(values)) for name, values in self._metrics.items()},
-        )
+        means = {name: float(np.mean(values)) for name, values in self._metrics.items()}
+        return Evaluation(returns=self._returns, lengths=self._lengths, metrics=means)
 
 
 def _evaluate(parent: Parent) -> None:
     task: dict[str, Any] = parent.task
     policy = read_policy(Path(task["policy"]), task["mode"])
     config = EnvConfig.from_json(task["env"])
-    offset = policy.metadata.get("obs_offset")
+    told = policy.metadata.get("obs_offset")
+    offset = None if told is None else np.array(json.loads(told), dtype=np.float32)
     seed_globals(task["seed"])
     environments = [
-        Environment(
-            config,
-            index=index,
-            activity=parent.activity,
-            offset=None if offset is None else np.array(json.loads(offset), dtype=np.float32),
-        )
+        Environment(config, index=index, activity=parent.activity, offset=offset)
         for index in range(min(task["num_envs"], task["episodes"]))
     ]
     require_alike(environments)
-    found = play(policy, config, environments, task["episodes"], task["seed"])
-    parent.report(
-        {
-            "result": {
-                "returns": found.returns,
-                "lengths": found.lengths,
-                "metrics": found.metrics,
-            }
-        }
-    )
+    found = _play(policy, environments, task["episodes"], task["seed"])
+    parent.report({"result": asdict(found)})
     for environment in environments:
         environment.close()
 

@@ -1,16 +1,28 @@
 """Ending all that a child process has started, whatever it has made of itself.
 
-A process keeps a variable of its environment unless somebody clears it, and belongs to whoever
-started it, or inherits it when that one ends; a process group and a session it may leave.
+A process keeps a variable of its environment unless somebody clears it, and belongs to the process
+that started it, or inherits it when that one ends; a process group and a session it may leave.
+
+Run as a file of its own this is the guard: a process that ends what is left of a parent's children
+when the parent is killed. A child sees the end of its parent by itself, but a thread of Python that
+does so never runs while a call into an environment holds the interpreter. So that it starts in a
+moment, nothing of ours is imported here.
 """
 
+import atexit
 import contextlib
 import ctypes
 import os
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
 
 FAMILY = "A2S_FAMILY"
 _ROUNDS = 10
+_GRACE_S = 15.0
+_LOOK_EVERY_S = 0.2
 _PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -25,6 +37,19 @@ def inherit_orphans() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
+def reap_orphans() -> None:
+    """Wait for inherited processes that have ended, which nobody else does.
+
+    A child of ours whose session is neither ours nor one that it has made was not started by us.
+    """
+    with contextlib.suppress(ChildProcessError):  # there are no children
+        if os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            return  # none has ended
+        for pid in _processes():
+            if _is_orphan(pid) and _parent_and_session(pid)[1] != pid:
+                os.waitpid(pid, os.WNOHANG)
+
+
 def end_family(family: str, *, living: set[int]) -> None:
     """Kill what carries the mark of a child, and the orphans that this process has inherited.
 
@@ -34,17 +59,58 @@ def end_family(family: str, *, living: set[int]) -> None:
         family: Value of `FAMILY` in the child's environment.
         living: Children that we have started in sessions of their own.
     """
-    mark = f"{FAMILY}={family}".encode()
     for _ in range(_ROUNDS):
         others = _processes() - {os.getpid()} - living
-        members = [p for p in others if mark in _environment(p) or _is_inherited(p)]
+        members = [p for p in others if _is_marked(p, f"{FAMILY}={family}") or _is_inherited(p)]
         if not members:
             return
+        _kill(members)
         for pid in members:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, signal.SIGKILL)
             with contextlib.suppress(ChildProcessError):
                 os.waitpid(pid, os.WNOHANG)
+
+
+def start_guard(mark: str) -> int:
+    """Start a guard of this process, which ends with it, and give its process number.
+
+    Args:
+        mark: ``NAME=BEGINNING`` of a variable that all children have in their environment.
+    """
+    guard = subprocess.Popen(
+        [sys.executable, "-I", "-S", __file__, mark],
+        stdin=subprocess.PIPE,  # nothing is ever written: its end is ours
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+    def end() -> None:
+        guard.kill()
+        guard.wait()
+
+    atexit.register(end)
+    return guard.pid
+
+
+def _guard(mark: str) -> None:
+    while sys.stdin.buffer.read(1):
+        pass
+    deadline_s = time.monotonic() + _GRACE_S
+    while left := {pid for pid in _processes() if _is_marked(pid, mark)}:
+        if time.monotonic() >= deadline_s:
+            # First what they have started, which may bear no mark.
+            parents = {pid: _parent_and_session(pid)[0] for pid in _processes()}
+            found = set(left)
+            while more := {p for p, parent in parents.items() if parent in found} - found:
+                found |= more
+            _kill([*sorted(found - left), *sorted(left)])
+        time.sleep(_LOOK_EVERY_S)
+
+
+def _kill(pids: Iterable[int]) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, signal.SIGKILL)
 
 
 def _processes() -> set[int]:
@@ -57,16 +123,23 @@ def _is_inherited(pid: int) -> bool:
 
 
 def _is_orphan(pid: int) -> bool:
+    parent, session = _parent_and_session(pid)
+    return parent == os.getpid() and session != os.getsid(0)
+
+
+def _parent_and_session(pid: int) -> tuple[int, int]:
     with contextlib.suppress(OSError, IndexError, ValueError):
         with open(f"/proc/{pid}/stat", "rb") as file:
             _, parent, _, session = file.read().rpartition(b")")[2].split()[:4]
-        return int(parent) == os.getpid() and int(session) != os.getsid(0)
+        return int(parent), int(session)
+    return 0, 0
+
+
+def _is_marked(pid: int, mark: str) -> bool:
+    with contextlib.suppress(OSError), open(f"/proc/{pid}/environ", "rb") as file:
+        return any(item.startswith(mark.encode()) for item in file.read().split(b"\0"))
     return False
 
 
-def _environment(pid: int) -> list[bytes]:
-    try:
-        with open(f"/proc/{pid}/environ", "rb") as file:
-            return file.read().split(b"\0")
-    except OSError:
-        return []
+if __name__ == "__main__":
+    _guard(sys.argv[1])

@@ -1,24 +1,27 @@
-"""What an actor counts, and how ``a2s actor`` shows the counts of all its processes to Prometheus.
+"""What actors count, in metrics of Prometheus; ``docs/metrics.md`` explains every name.
 
-A worker process keeps a :class:`Tally` and sends a snapshot through a pipe. The supervisor exports
-the sum of what each worker place has ever counted, so counters never fall when a process is
-replaced. ``docs/metrics.md`` explains every name.
+Worker processes report their samples to the supervisor, which serves the sums: so one port serves
+all, a replaced worker's counters go on, and no environment that forks or closes can harm a count.
 """
 
-import bisect
 import contextlib
+import math
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import Any
 
-from prometheus_client import CollectorRegistry, ProcessCollector, start_http_server
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    InfoMetricFamily,
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Info,
+    ProcessCollector,
+    disable_created_metrics,
+    start_http_server,
 )
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
@@ -27,173 +30,184 @@ from a2s import __version__
 from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
 
-Snapshot = dict[str, Any]
 _FAST_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 _SLOW_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1, 0.5, 1.0, 5.0, 10.0)
-_VERDICTS = ("accepted", "duplicate", "stale", "refused")
-_LOST = ("malformed", "shutdown")
 _STEPS = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 
-
-class _Described(NamedTuple):
-    help: str
-    label: str | None = None
-    values: tuple[str, ...] = ("",)
-    buckets: tuple[float, ...] = ()
+# A value under its metric, its series, and name and value of its label, if it has one.
+Sample = tuple[list[str], float]
+_Totals = dict[tuple[str, ...], float]
 
 
-COUNTERS = {
-    "env_steps": _Described("Environment steps made."),
-    "episodes": _Described("Finished episodes.", "end", ("terminated", "truncated")),
-    "recovery_events": _Described("Recoveries of the learner that this actor followed."),
-    "messages_sent": _Described("Segments put on the wire, resent ones included."),
-    "sent_bytes": _Described("Bytes of segments put on the wire."),
-    "acks": _Described("Answers of the learner by verdict.", "result", _VERDICTS),
-    "retries": _Described("Segments sent again because there was no answer."),
-    "dropped_transitions": _Described("Transitions lost on purpose.", "reason", _LOST),
-    "weights_received_bytes": _Described("Bytes of weights received."),
-    "joins": _Described("Times that this actor joined a learner."),
-    "cpu_seconds": _Described("Processor time of the worker process."),
-}
-GAUGES = {
-    "episode_return_last": _Described("Return of the latest episode."),
-    "suggestion_q_spread": _Described("Highest minus mean Q over the suggestions, latest call."),
-    "outbox_transitions": _Described("Transitions that wait for an answer."),
-    "outbox_capacity_transitions": _Described("Transitions that may wait for an answer."),
-    "epoch": _Described("Recovery epoch acted in: the recoveries that have reached this actor."),
-    "weights_version": _Described("Version of the weights in use."),
-    "weights_received_timestamp_seconds": _Described("When the weights in use arrived."),
-    "resident_memory_bytes": _Described("Memory of the worker process."),
-}
-HISTOGRAMS = {
-    "episode_length_steps": _Described("Lengths of episodes.", buckets=_STEPS),
-    "env_step_seconds": _Described("Time of one environment step.", buckets=_FAST_S),
-    "select_seconds": _Described(
-        "Time of one batched call: K suggestions, their Q, the selection.", buckets=_FAST_S
-    ),
-    "send_seconds": _Described("Time from sending a segment to its answer.", buckets=_SLOW_S),
-}
-
-
-class Tally:
-    """The counts of one worker process. Any thread may count."""
+class ActorMetrics:
+    """The metrics of one worker process, in a registry of their own."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        nothing = _nothing()
-        self._counters: dict[str, dict[str, float]] = nothing["counters"]
-        self._gauges: dict[str, float] = nothing["gauges"]
-        self._histograms: dict[str, list[float]] = nothing["histograms"]
+        disable_created_metrics()  # type: ignore[no-untyped-call]
+        self.registry = CollectorRegistry()
+        self._cpu_s = 0.0
+        self._make_counters()
+        self._make_gauges()
+        self.episode_length = self._histogram(
+            "episode_length_steps", "Lengths of episodes.", _STEPS
+        )
+        self.env_step_seconds = self._histogram(
+            "env_step_seconds", "Time of one environment step.", _FAST_S
+        )
+        self.select_seconds = self._histogram(
+            "select_seconds", "Time of one batched call: K suggestions, their Q, the selection.",
+            _FAST_S,
+        )  # fmt: skip
+        self.send_seconds = self._histogram(
+            "send_seconds", "Time from sending a segment to its answer.", _SLOW_S
+        )
 
-    def count(self, name: str, amount: float = 1, **label: str) -> None:
-        """Add to a counter, under the value of its label if it has one."""
-        value = next(iter(label.values()), "")
-        with self._lock:
-            counter = self._counters[name]
-            counter[value] = counter.get(value, 0.0) + amount
+    def _make_counters(self) -> None:
+        self.env_steps = self._counter("env_steps", "Environment steps made.")
+        self.episodes = self._counter("episodes", "Finished episodes.", end="terminated truncated")
+        self.recoveries = self._counter(
+            "recovery_events", "Recoveries of the learner that this actor followed."
+        )
+        self.messages_sent = self._counter(
+            "messages_sent", "Segments put on the wire, resent ones included."
+        )
+        self.sent_bytes = self._counter("sent_bytes", "Bytes of segments put on the wire.")
+        self.acks = self._counter(
+            "acks", "Answers of the learner by verdict.", result="accepted duplicate stale refused"
+        )
+        self.retries = self._counter("retries", "Segments sent again because there was no answer.")
+        self.dropped = self._counter(
+            "dropped_transitions", "Transitions lost on purpose.", reason="malformed shutdown"
+        )
+        self.weights_received_bytes = self._counter(
+            "weights_received_bytes", "Bytes of weights received."
+        )
+        self.joins = self._counter("joins", "Times that this actor joined a learner.")
+        self.cpu_seconds = self._counter("cpu_seconds", "Processor time of the worker process.")
 
-    def gauge(self, name: str, value: float) -> None:
-        """Set a gauge."""
-        self._gauges[name] = value
+    def _make_gauges(self) -> None:
+        self.episode_return_last = self._gauge(
+            "episode_return_last", "Return of the latest episode."
+        )
+        self.q_spread = self._gauge(
+            "suggestion_q_spread", "Highest minus mean Q over the suggestions, latest call."
+        )
+        self.outbox = self._gauge("outbox_transitions", "Transitions that wait for an answer.")
+        self.outbox_capacity = self._gauge(
+            "outbox_capacity_transitions", "Transitions that may wait for an answer."
+        )
+        self.epoch = self._gauge(
+            "epoch", "Recovery epoch acted in: the recoveries that have reached this actor."
+        )
+        self.weights_version = self._gauge("weights_version", "Version of the weights in use.")
+        self.weights_received = self._gauge(
+            "weights_received_timestamp_seconds", "When the weights in use arrived."
+        )
+        self.memory = self._gauge("resident_memory_bytes", "Memory of the worker process.")
 
-    def observe(self, name: str, value: float) -> None:
-        """Add a value to a histogram."""
-        place = bisect.bisect_left(HISTOGRAMS[name].buckets, value)
-        with self._lock:
-            row = self._histograms[name]
-            row[place] += 1
-            row[-1] += value
+    def _counter(self, name: str, text: str, **label: str) -> Counter:
+        """Make a counter; the values of its label are exported from the start."""
+        counter = Counter(f"a2s_actor_{name}", text, [*label], registry=self.registry)
+        for values in label.values():
+            for value in values.split():
+                counter.labels(value)
+        return counter
 
-    def episode(self, episode_return: float, length: int, *, terminated: bool) -> None:
-        """Count a finished episode."""
-        self.count("episodes", end="terminated" if terminated else "truncated")
-        self.gauge("episode_return_last", episode_return)
-        self.observe("episode_length_steps", length)
+    def _gauge(self, name: str, text: str) -> Gauge:
+        """Make a gauge that is NaN, and is not exported, until there is something to show."""
+        gauge = Gauge(f"a2s_actor_{name}", text, registry=self.registry)
+        gauge.set(math.nan)
+        return gauge
 
-    def total(self, name: str) -> float:
-        """Read a counter, summed over its label."""
-        with self._lock:
-            return sum(self._counters[name].values())
+    def _histogram(self, name: str, text: str, buckets: tuple[float, ...]) -> Histogram:
+        return Histogram(f"a2s_actor_{name}", text, buckets=buckets, registry=self.registry)
 
-    def snapshot(self) -> Snapshot:
-        """Copy everything, and what this process uses by now, as plain JSON."""
-        with self._lock:
-            self._counters["cpu_seconds"] = {"": time.process_time()}
-            self._gauges["resident_memory_bytes"] = _resident_bytes()
-            return {
-                "counters": {name: dict(values) for name, values in self._counters.items()},
-                "gauges": dict(self._gauges),
-                "histograms": {name: list(row) for name, row in self._histograms.items()},
-            }
+    def report(self) -> dict[str, Any]:
+        """Give everything that was counted, and the segments that were of use."""
+        return {"samples": self.samples(), "accepted": total(self.acks.labels("accepted"))}
+
+    def samples(self) -> list[Sample]:
+        """Give everything that was counted, and what this process uses by now."""
+        cpu_s = time.process_time()
+        self.cpu_seconds.inc(cpu_s - self._cpu_s)
+        self._cpu_s = cpu_s
+        self.memory.set(_resident_bytes())
+        return [
+            ([metric.name, sample.name, *chain(*sample.labels.items())], sample.value)
+            for metric in self.registry.collect()
+            for sample in metric.samples
+            if not math.isnan(sample.value)
+        ]
+
+
+def total(counter: Counter) -> float:
+    """Read a counter, summed over its label."""
+    return sum(sample.value for metric in counter.collect() for sample in metric.samples)
 
 
 class Fleet(Collector):
-    """The counts of all workers of one ``a2s actor``, for Prometheus.
+    """The metrics of all workers of one ``a2s actor``, labelled with ``worker``.
 
-    Args:
-        num_workers: Worker places; each is a value of the label ``worker``.
+    Attributes:
+        registry: These, those of the supervisor and of its process.
     """
 
     def __init__(self, num_workers: int) -> None:
+        nothing = ActorMetrics()
+        self._metrics = list(nothing.registry.collect())
+        self._gauges = {metric.name for metric in self._metrics if metric.type == "gauge"}
         self._lock = threading.Lock()
-        self._past = [_nothing() for _ in range(num_workers)]
-        self._present: list[Snapshot | None] = [None] * num_workers
-        self._restarts = [0] * num_workers
+        self._present: list[_Totals] = [{} for _ in range(num_workers)]
+        zeros = {tuple(key): 0.0 for key, _ in nothing.samples() if key[0] not in self._gauges}
+        self._past: list[_Totals] = [zeros] * num_workers
+        self.registry = CollectorRegistry()
+        build = Info("a2s_build", "What runs here.", registry=self.registry)
+        build.info({"version": __version__, "protocol": str(SCHEMA_VERSION)})
+        self.registry.register(self)
+        self._up = Gauge(
+            "a2s_actor_worker_up", "Whether the worker process has reported.", ["worker"],
+            registry=self.registry,
+        )  # fmt: skip
+        self._restarts = Counter(
+            "a2s_actor_restarts", "Worker processes that were replaced.", ["worker"],
+            registry=self.registry,
+        )  # fmt: skip
+        for worker in range(num_workers):
+            self._up.labels(worker)
+            self._restarts.labels(worker)
+        ProcessCollector(registry=self.registry)
 
-    def update(self, worker: int, snapshot: Snapshot) -> None:
-        """Take the newest snapshot of a worker."""
+    def update(self, worker: int, samples: Iterable[Sample]) -> None:
+        """Take the newest samples of a worker."""
         with self._lock:
-            self._present[worker] = snapshot
+            self._present[worker] = {tuple(key): value for key, value in samples}
+        self._up.labels(worker).set(1)
 
     def ended(self, worker: int) -> None:
         """A worker process ended: keep what it counted, not the state that it was in."""
         with self._lock:
-            merged = _merge(self._past[worker], self._present[worker])
-            self._past[worker] = {**merged, "gauges": {}}
-            self._present[worker] = None
+            counted = self._sum(worker).items()
+            self._past[worker] = {k: value for k, value in counted if k[0] not in self._gauges}
+            self._present[worker] = {}
+        self._up.labels(worker).set(0)
 
     def restarted(self, worker: int) -> None:
         """A worker process was replaced."""
-        with self._lock:
-            self._restarts[worker] += 1
+        self._restarts.labels(worker).inc()
 
     def collect(self) -> Iterator[Metric]:
-        """Yield every metric with the label ``worker``."""
+        """Give the sums of all processes that have been a worker, for each."""
+        found = {m.name: Metric(m.name, m.documentation, m.type) for m in self._metrics}
         with self._lock:
-            now = [_merge(*pair) for pair in zip(self._past, self._present, strict=True)]
-            up = [float(present is not None) for present in self._present]
-            restarts = list(self._restarts)
-        build = {"version": __version__, "protocol": str(SCHEMA_VERSION)}
-        yield InfoMetricFamily("a2s_build", "What runs here.", build)
-        for name, described in COUNTERS.items():
-            labels = ["worker", described.label] if described.label else ["worker"]
-            counter = CounterMetricFamily(f"a2s_actor_{name}", described.help, labels=labels)
-            for worker, snapshot in enumerate(now):
-                counted = dict.fromkeys(described.values, 0.0) | snapshot["counters"][name]
-                for value, amount in counted.items():
-                    counter.add_metric([str(worker), value][: len(labels)], amount)
-            yield counter
-        for name, described in GAUGES.items():
-            yield _gauge(name, described.help, [s["gauges"].get(name) for s in now])
-        for name, described in HISTOGRAMS.items():
-            yield _histogram(name, described, [s["histograms"][name] for s in now])
-        yield _gauge("worker_up", "Whether the worker process has reported.", up)
-        restarted = CounterMetricFamily(
-            "a2s_actor_restarts", "Worker processes that were replaced.", labels=["worker"]
-        )
-        for worker, amount in enumerate(restarts):
-            restarted.add_metric([str(worker)], amount)
-        yield restarted
+            for worker in range(len(self._past)):
+                for (metric, series, *label), value in self._sum(worker).items():
+                    labels = {"worker": str(worker), **dict([label] if label else [])}
+                    found[metric].add_sample(series, labels, value)
+        yield from found.values()
 
-
-def _nothing() -> Snapshot:
-    return {
-        "counters": {name: {} for name in COUNTERS},
-        "gauges": {},
-        "histograms": {
-            name: [0.0] * (len(described.buckets) + 2) for name, described in HISTOGRAMS.items()
-        },
-    }
+    def _sum(self, worker: int) -> _Totals:
+        past, present = self._past[worker], self._present[worker]
+        return {key: past.get(key, 0.0) + present.get(key, 0.0) for key in past | present}
 
 
 def _resident_bytes() -> float:
@@ -201,43 +215,6 @@ def _resident_bytes() -> float:
     with contextlib.suppress(OSError), open("/proc/self/statm", "rb") as statm:
         return float(int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
     return 0.0
-
-
-def _gauge(name: str, help_text: str, values: Sequence[float | None]) -> GaugeMetricFamily:
-    gauge = GaugeMetricFamily(f"a2s_actor_{name}", help_text, labels=["worker"])
-    for worker, value in enumerate(values):
-        if value is not None:
-            gauge.add_metric([str(worker)], value)
-    return gauge
-
-
-def _histogram(name: str, described: _Described, rows: list[list[float]]) -> HistogramMetricFamily:
-    histogram = HistogramMetricFamily(f"a2s_actor_{name}", described.help, labels=["worker"])
-    bounds = [*(repr(float(b)) for b in described.buckets), "+Inf"]
-    for worker, row in enumerate(rows):
-        cumulative, total = [], 0.0
-        for bound, amount in zip(bounds, row[:-1], strict=True):
-            total += amount
-            cumulative.append((bound, total))
-        histogram.add_metric([str(worker)], cumulative, sum_value=row[-1])
-    return histogram
-
-
-def _merge(past: Snapshot, present: Snapshot | None) -> Snapshot:
-    if present is None:
-        return past
-    counters = {
-        name: {
-            value: past["counters"][name].get(value, 0.0) + new.get(value, 0.0)
-            for value in {**past["counters"][name], **new}
-        }
-        for name, new in present["counters"].items()
-    }
-    histograms = {
-        name: [a + b for a, b in zip(past["histograms"][name], row, strict=True)]
-        for name, row in present["histograms"].items()
-    }
-    return {"counters": counters, "gauges": present["gauges"], "histograms": histograms}
 
 
 def serve(fleet: Fleet, host: str, port: int) -> int:
@@ -249,11 +226,8 @@ def serve(fleet: Fleet, host: str, port: int) -> int:
     Raises:
         UsageError: The port is taken.
     """
-    registry = CollectorRegistry()
-    registry.register(fleet)
-    ProcessCollector(registry=registry)
     try:
-        server, _ = start_http_server(port, addr=host, registry=registry)
+        server, _ = start_http_server(port, addr=host, registry=fleet.registry)
     except OSError as error:
         raise UsageError(
             f"metrics port {port}: {error.strerror}; choose another with --metrics-port, 0 = any"

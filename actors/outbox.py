@@ -1,5 +1,6 @@
-"""The way out: a bounded spool that keeps every segment until the learner has answered it."""
+"""The way out: a bounded queue that keeps every segment until the learner has answered it."""
 
+import contextlib
 import random
 import threading
 from collections import deque
@@ -7,7 +8,7 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.messages import Ack, Segment
@@ -15,7 +16,7 @@ from a2s.protocol.transport import Bus
 
 _ASK_TIMEOUT_S = 3.0
 _BACK_OFF_S = (0.05, 1.0)
-_MOST_BYTES = 256 << 20
+_MAX_BYTES = 256 << 20
 
 
 class _Waiting(NamedTuple):
@@ -23,20 +24,21 @@ class _Waiting(NamedTuple):
     steps: int
 
 
-class Spool:
+class Outbox:
     """Sends segments in order, one at a time, each until it is answered.
 
     At least once on the wire: a segment without an answer is sent again, the same bytes. When the
-    spool is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
+    outbox is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
     of filling its memory.
 
     Args:
-        bus: The connection.
-        key: Where segments go.
         capacity_steps: Steps that may wait, in at most 256 MiB; at least one segment always fits.
         on_ack: Told every answer, on the sender's thread.
         on_unknown: Told that the learner does not know this actor, on the sender's thread.
-        tally: Where answers, retries and bytes are counted.
+
+    Attributes:
+        steps: Steps that wait for an answer.
+        answered: Segments that were answered.
     """
 
     def __init__(
@@ -46,50 +48,34 @@ class Spool:
         capacity_steps: int,
         on_ack: Callable[[Ack], None],
         on_unknown: Callable[[], None],
-        tally: Tally,
+        metrics: ActorMetrics,
     ) -> None:
-        self._bus = bus
-        self._key = key
+        self._bus, self._key = bus, key
         self._made_for_steps = self._capacity_steps = capacity_steps
-        self._on_ack = on_ack
-        self._on_unknown = on_unknown
-        self._tally = tally
+        self._on_ack, self._on_unknown = on_ack, on_unknown
+        self._metrics = metrics
         self._waiting: deque[_Waiting] = deque()
-        self._steps = 0
-        self._bytes = 0
+        self.steps = self._bytes = 0
         self._random = random.Random()  # the global one is the environments'
-        self._answered = 0
-        self._draining = False
-        self._closing = False
-        self._held_back = False
+        self.answered = 0
+        self._draining = self._closing = self._held_back = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._send_all, name="spool")
+        self._thread = threading.Thread(target=self._send_all, name="outbox")
         self._thread.start()
-        tally.gauge("outbox_capacity_transitions", capacity_steps)
-        tally.gauge("outbox_transitions", 0)
-
-    @property
-    def steps(self) -> int:
-        """Steps that wait for an answer."""
-        return self._steps
-
-    @property
-    def answered(self) -> int:
-        """Segments that were answered."""
-        return self._answered
+        metrics.outbox_capacity.set(capacity_steps)
+        metrics.outbox.set(0)
 
     def narrow(self, steps: int) -> None:
-        """Let at most so many steps wait from now on, if it was made for no fewer."""
+        """Let at most this many steps wait from now on, or what it was made for if that is less."""
         with self._changed:
             self._capacity_steps = min(self._made_for_steps, steps)
             self._changed.notify_all()
-        self._tally.gauge("outbox_capacity_transitions", self._capacity_steps)
+        self._metrics.outbox_capacity.set(self._capacity_steps)
 
     def put(self, segment: Segment, timeout_s: float) -> bool:
-        """Hand over a segment; blocks for at most ``timeout_s`` seconds while the spool is full.
+        """Hand over a segment; tell whether it was taken.
 
-        Returns:
-            Whether it was taken.
+        Blocks for at most ``timeout_s`` seconds while the outbox is full.
         """
         item = _Waiting(encode(segment), segment.num_steps)
         with self._changed:
@@ -101,19 +87,16 @@ class Spool:
         return True
 
     def _fits(self, item: _Waiting) -> bool:
-        capacity_steps = 0 if self._held_back else self._capacity_steps
         if not self._waiting:
             return True
-        fits = self._steps + item.steps <= capacity_steps
-        return fits and self._bytes + len(item.payload) <= _MOST_BYTES
+        fits = self.steps + item.steps <= self._capacity_steps and not self._held_back
+        return fits and self._bytes + len(item.payload) <= _MAX_BYTES
 
     def close(self, timeout_s: float) -> int:
-        """Stop taking, send what waits for at most ``timeout_s`` seconds, and end the thread.
+        """Stop taking, send what waits, and end the thread; give the count of unanswered segments.
 
-        A learner that does not answer is not asked again: mostly its run is over.
-
-        Returns:
-            Segments that were never answered.
+        It takes ``timeout_s`` seconds and one request at most. A learner that does not answer is
+        not asked again: mostly its run is over.
         """
         with self._changed:
             self._draining = True
@@ -123,7 +106,7 @@ class Spool:
         self._thread.join(_ASK_TIMEOUT_S)
         left = sum(item.steps for item in self._waiting)
         if left:
-            self._tally.count("dropped_transitions", left, reason="shutdown")
+            self._metrics.dropped.labels("shutdown").inc(left)
         return len(self._waiting)
 
     def _send_all(self) -> None:
@@ -139,47 +122,40 @@ class Spool:
             with self._changed:
                 self._waiting.popleft()
                 self._count(item, -1)
-                self._answered += 1
+                self.answered += 1
                 self._held_back = ack.wait_s > 0
                 self._changed.notify_all()
             self._on_ack(ack)
             self._pause(ack.wait_s)
 
     def _count(self, item: _Waiting, sign: int) -> None:
-        self._steps += sign * item.steps
+        self.steps += sign * item.steps
         self._bytes += sign * len(item.payload)
-        self._tally.gauge("outbox_transitions", self._steps)
+        self._metrics.outbox.set(self.steps)
 
     def _send(self, item: _Waiting) -> Ack | None:
-        """Send until answered, or until the spool is closed; once only when it is to be emptied."""
+        """Send until answered or closed; once only when the outbox is to be emptied."""
         back_off_s, longest_s = _BACK_OFF_S
         while not self._closing:
             begin = perf_counter()
-            self._tally.count("messages_sent")
-            self._tally.count("sent_bytes", len(item.payload))
+            self._metrics.messages_sent.inc()
+            self._metrics.sent_bytes.inc(len(item.payload))
             reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
-            ack = self._read(reply)
+            ack = None
+            with contextlib.suppress(MalformedMessageError):  # then it is sent again
+                ack = None if reply is None else decode(reply, Ack)
             if ack is not None and ack.verdict == "unknown":
                 self._on_unknown()
             elif ack is not None:
-                self._tally.observe("send_seconds", perf_counter() - begin)
-                self._tally.count("acks", result=ack.verdict)
+                self._metrics.send_seconds.observe(perf_counter() - begin)
+                self._metrics.acks.labels(ack.verdict).inc()
                 return ack
             if self._draining:
                 return None
-            self._tally.count("retries")
+            self._metrics.retries.inc()
             self._pause(back_off_s * self._random.uniform(0.5, 1.0))
             back_off_s = min(back_off_s * 2, longest_s)
         return None
-
-    @staticmethod
-    def _read(reply: bytes | None) -> Ack | None:
-        if reply is None:
-            return None
-        try:
-            return decode(reply, Ack)
-        except MalformedMessageError:
-            return None
 
     def _pause(self, seconds: float) -> None:
         if seconds > 0:

@@ -11,11 +11,13 @@ from collections.abc import Callable
 from typing import Any
 
 from a2s.actors.activity import Activity
-from a2s.actors.children import UNHEARD, Report, told
+from a2s.actors.children import UNHEARD, Report
 from a2s.actors.environments.faults import Faults
-from a2s.actors.families import FAMILY, end_family, inherit_orphans
+from a2s.actors.families import FAMILY, end_family, inherit_orphans, reap_orphans
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import A2SError
+from a2s.protocol.errors import A2SError, UsageError
+
+_REAP_EVERY_S = 1.0
 
 
 class Parent:
@@ -42,6 +44,7 @@ class Parent:
         self.stderr = os.fdopen(os.dup(2), "w", buffering=1, errors="replace")
         logging.basicConfig(level=logging.INFO, stream=self.stderr, format="%(message)s")
         logging.raiseExceptions = False
+        _Logger.take(logging.root.handlers[0])
         sys.path.append(os.getcwd())
         self.activity = Activity(page)
         self.stopped = threading.Event()
@@ -49,8 +52,9 @@ class Parent:
         inherit_orphans()
         self._lock = threading.Lock()
         lines = os.fdopen(life, "rb", buffering=0)
-        self.task: dict[str, Any] = json.loads(_line(lines.read))
+        self.task: dict[str, Any] = json.loads(lines.readline() or b"{}")
         threading.Thread(target=self._await_end, args=(lines.read,), daemon=True).start()
+        threading.Thread(target=self._reap, daemon=True).start()
 
     def report(self, report: Report) -> None:
         """Tell the parent something that survives JSON."""
@@ -79,6 +83,11 @@ class Parent:
             pass
         self.stopped.set()
 
+    def _reap(self) -> None:
+        while not self.stopped.wait(_REAP_EVERY_S):
+            with contextlib.suppress(OSError):  # an environment may hold all file descriptors
+                reap_orphans()
+
 
 def answer(work: Callable[[Parent], None]) -> None:
     """Do what a child that reports one ``result`` does, and end this process."""
@@ -93,9 +102,27 @@ def answer(work: Callable[[Parent], None]) -> None:
     parent.leave(0)
 
 
-def _line(read: Callable[[int], bytes]) -> bytes:
-    """Read a line byte by byte: what follows it is not ours to buffer."""
-    line = b""
-    while not line.endswith(b"\n") and (byte := read(1)):
-        line += byte
-    return line or b"{}"
+def told(error: A2SError) -> Report:
+    """Write an error for a parent."""
+    by_mistake = getattr(error, "by_mistake", False)
+    kind = "usage" if isinstance(error, UsageError) else "faulty"
+    return {"kind": kind, "message": str(error), "by_mistake": by_mistake}
+
+
+class _Logger(logging.Logger):
+    """Makes a logger of ours one that no configuration of an environment silences."""
+
+    ours: logging.Handler
+
+    @classmethod
+    def take(cls, handler: logging.Handler) -> None:
+        """Have all loggers of ours write to a handler."""
+        cls.ours = handler
+        for name in [name for name in logging.root.manager.loggerDict if name.startswith("a2s.")]:
+            logging.getLogger(name).__class__ = cls
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802  # the name that it has there
+        return level >= logging.INFO
+
+    def handle(self, record: logging.LogRecord) -> None:
+        self.ours.handle(record)

@@ -1,24 +1,25 @@
 """Acting: several environments, one batched call for all of them, segments out."""
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from time import perf_counter
 
 import numpy as np
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.environments.making import MOST_SEED, seed_globals
-from a2s.actors.metrics import Tally
+from a2s.actors.environments.making import MAX_SEED, seed_globals
+from a2s.actors.metrics import ActorMetrics
 from a2s.actors.suggester import Choice, Suggester
 from a2s.actors.troubles import Troubles
 from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import FaultyEnvironmentError, MalformedMessageError
 from a2s.protocol.fields import Array
-from a2s.protocol.messages import MOST_PLAYED, EpisodeMetric, Notice, Segment
+from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric, Notice, Segment
 
-_USELESS_IN_A_ROW = 10
+_MAX_USELESS_IN_A_ROW = 10
 _SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for what is not rows
 _FLOAT_BYTES = 4
-# An episode of a batch of whole ones is cut after so many steps, if nothing else ever ends it.
+# An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
 ENDLESS_STEPS = 10_000
 _NOTHING: Iterator[Segment] = iter(())
 
@@ -26,16 +27,15 @@ _NOTHING: Iterator[Segment] = iter(())
 class _Slot:
     """One environment and the steps of its segment so far."""
 
-    def __init__(self, environment: Environment, seed: int) -> None:
-        self.environment = environment
+    def __init__(self, index: int, environment: Environment, seed: int) -> None:
+        self.index, self.environment = index, environment
         self.useless = 0
         self.begin_quota()
         self.begin_segment()
         self.begin_episode(seed)
 
     def begin_quota(self) -> None:
-        self.quota_steps = 0
-        self.quota_episodes = 0
+        self.quota_steps = self.quota_episodes = 0
 
     def begin_segment(self) -> None:
         self.rows: list[tuple[Array, Array, float, float]] = []
@@ -45,14 +45,21 @@ class _Slot:
         self.episode_return = 0.0
         self.episode_length = 0
 
+    def has_met(self, notice: Notice) -> bool:
+        """Whether its quota is played."""
+        if self.quota_steps < notice.quota_steps:
+            return False
+        if notice.quota_episodes == 0:
+            return True
+        return self.quota_episodes >= notice.quota_episodes and self.episode_length == 0
+
+    def is_endless(self) -> bool:
+        """Whether nothing has ended the episode, or ever will."""
+        return self.environment.episode_limit is None and self.episode_length >= ENDLESS_STEPS
+
 
 class Rollout:
-    """Plays B environments with whatever weights it is given.
-
-    Use::
-
-        for segment in rollout.play(suggester, notice, interrupted):
-            spool.put(segment)
+    """Plays B environments with the weights that it is given.
 
     A step whose numbers cannot be sent is dropped and the episode cut before it; what is dropped
     is made up for, so that the quota is always delivered.
@@ -61,8 +68,9 @@ class Rollout:
         actor: Name to send under.
         environments: At least one; the rollout resets them.
         seed: Seeds the environments, ``random``, ``np.random`` and the suggestions' noise.
-        tally: Where steps, episodes and times are counted.
-        troubles: Told what is dropped and cut.
+
+    Attributes:
+        segments_made: Count of the segments that were yielded.
     """
 
     def __init__(
@@ -70,94 +78,83 @@ class Rollout:
         actor: str,
         environments: Sequence[Environment],
         seed: int,
-        tally: Tally,
+        metrics: ActorMetrics,
         troubles: Troubles,
     ) -> None:
         drawn = np.random.SeedSequence(seed).generate_state(len(environments) + 1)
-        *env_seeds, noise_seed = drawn & MOST_SEED
-        seed_globals(int(noise_seed))
+        *env_seeds, noise_seed = (int(number) for number in drawn & MAX_SEED)
+        seed_globals(noise_seed)
         self._actor = actor
         self._slots = [
-            _Slot(environment, int(env_seed))
-            for environment, env_seed in zip(environments, env_seeds, strict=True)
+            _Slot(index, *pair)
+            for index, pair in enumerate(zip(environments, env_seeds, strict=True))
         ]
         self._rng = np.random.default_rng(noise_seed)
-        self._tally = tally
-        self._troubles = troubles
-        self._seq = 0
+        self._metrics, self._troubles = metrics, troubles
+        self._choice: Choice | None = None
+        metrics.q_spread.set_function(self._q_spread)
+        self.segments_made = 0
         spaces = environments[0].spaces
         row_bytes = _FLOAT_BYTES * (spaces.obs_size + spaces.action_size + 2)
         room = _SEGMENT_BYTES - _FLOAT_BYTES * spaces.obs_size  # for the last observation
-        self._most_rows = max(1, room // row_bytes)
-
-    @property
-    def segments_made(self) -> int:
-        """Segments yielded since the beginning."""
-        return self._seq
+        self._max_rows = max(1, room // row_bytes)
 
     def play(
         self, suggester: Suggester, notice: Notice, interrupted: Callable[[], bool]
     ) -> Iterator[Segment]:
-        """Play the quota of one version in every environment.
+        """Play the quota of one version in every environment; yield segments once complete.
 
         Every environment makes ``quota_steps`` steps that can be sent; with ``quota_episodes`` it
         goes on to the end of the episode in which both are reached. Episodes go on across calls.
-
-        Args:
-            suggester: The weights.
-            notice: What they are, and the quota.
-            interrupted: Asked before every step; when true, what has been played is yielded.
-
-        Yields:
-            Segments, as soon as each is complete.
+        ``interrupted`` is asked before every step; when true, what has been played is yielded.
 
         Raises:
             FaultyEnvironmentError: An environment raised, or gives nothing that can be used.
         """
-        playing = list(range(len(self._slots)))
+        playing = self._slots
         for slot in self._slots:
             slot.begin_quota()
         while playing and not interrupted():
-            obs = np.array([self._slots[i].obs for i in playing])
+            obs = np.array([slot.obs for slot in playing])
             if not is_usable(obs):
                 yield from self._drop_unusable(playing, notice)
                 continue
             choice = self._choose(suggester, obs)
             begin = perf_counter()
-            for row, index in enumerate(playing):
-                yield from self._step(index, choice, row, notice)
+            for row, slot in enumerate(playing):
+                yield from self._step(slot, choice, row, notice)
             spent = perf_counter() - begin
-            self._tally.count("env_steps", len(playing))
-            self._tally.observe("env_step_seconds", spent / len(playing))
-            met = [i for i in playing if self._quota_is_met(self._slots[i], notice)]
-            if not met:
-                continue
-            for index in met:
-                yield from self._finish_quota(index, notice)
-            playing = [i for i in playing if not self._quota_is_met(self._slots[i], notice)]
-        yield from self._drop_unusable(range(len(self._slots)), notice)
-        for index in range(len(self._slots)):
-            yield from self._cut(index, notice, terminated=False, truncated=False)
+            self._metrics.env_steps.inc(len(playing))
+            self._metrics.env_step_seconds.observe(spent / len(playing))
+            met = [slot for slot in playing if slot.has_met(notice)]
+            for slot in met:
+                yield from self._finish_quota(slot, notice)
+            if met:
+                playing = [slot for slot in playing if not slot.has_met(notice)]
+        yield from self._drop_unusable(self._slots, notice)
+        for slot in self._slots:
+            yield from self._cut(slot, notice)
 
-    def _finish_quota(self, index: int, notice: Notice) -> Iterator[Segment]:
+    def _finish_quota(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
         """Send what is left of a quota that is met; what turns out unusable has to be played."""
-        yield from self._drop_unusable([index], notice)
-        if self._quota_is_met(self._slots[index], notice):
-            yield from self._cut(index, notice, terminated=False, truncated=False)
+        yield from self._drop_unusable([slot], notice)
+        if slot.has_met(notice):
+            yield from self._cut(slot, notice)
 
     def _choose(self, suggester: Suggester, obs: Array) -> Choice:
         begin = perf_counter()
-        choice = suggester(obs, self._rng)
-        self._tally.observe("select_seconds", perf_counter() - begin)
-        self._tally.gauge("suggestion_q_spread", float(choice.q_spread.mean()))
+        self._choice = choice = suggester(obs, self._rng)
+        self._metrics.select_seconds.observe(perf_counter() - begin)
         return choice
 
-    def _step(self, index: int, choice: Choice, row: int, notice: Notice) -> Iterator[Segment]:
+    def _q_spread(self) -> float:
+        return math.nan if self._choice is None else float(self._choice.q_spread.mean())
+
+    def _step(self, slot: _Slot, choice: Choice, row: int, notice: Notice) -> Iterator[Segment]:
         """Make a step in one environment; gives the segments that end with it."""
-        slot = self._slots[index]
         obs, reward, terminated, truncated = slot.environment.step(choice.action[row])
-        if not -MOST_PLAYED <= reward <= MOST_PLAYED:  # false for NaN as well
-            return self._abandon(index, notice, f"reward is {reward:g}", 1)
+        if not -MAX_PLAYED <= reward <= MAX_PLAYED:  # false for NaN as well
+            return self._abandon(slot, notice, f"reward is {reward:g}", 1)
         slot.rows.append((slot.obs, choice.suggestion[row], choice.log_prob[row], reward))
         slot.episode_return += reward
         slot.episode_length += 1
@@ -166,48 +163,29 @@ class Rollout:
             obs = slot.obs  # nobody looks at it: the value of a terminal state is 0
         slot.obs = obs
         if terminated or truncated:
-            return self._end(index, notice, terminated=terminated, truncated=truncated)
-        if notice.quota_episodes and self._is_endless(slot):
+            return self._end(slot, notice, terminated=terminated, truncated=truncated)
+        if notice.quota_episodes and slot.is_endless():
             self._troubles.cut(slot.environment.name, slot.episode_length)
-            return self._end(index, notice, terminated=False, truncated=True)
-        if len(slot.rows) >= self._most_rows and is_usable(obs):
-            return self._cut(index, notice, terminated=False, truncated=False)
+            return self._end(slot, notice, terminated=False, truncated=True)
+        if len(slot.rows) >= self._max_rows and is_usable(obs):
+            return self._cut(slot, notice)
         return _NOTHING
 
     def _end(
-        self, index: int, notice: Notice, *, terminated: bool, truncated: bool
+        self, slot: _Slot, notice: Notice, *, terminated: bool, truncated: bool
     ) -> Iterator[Segment]:
         """End the episode with its latest step."""
-        slot = self._slots[index]
         if not is_usable(slot.obs):
-            yield from self._drop_unusable([index], notice)
+            yield from self._drop_unusable([slot], notice)
             return
-        self._tally.episode(slot.episode_return, slot.episode_length, terminated=terminated)
-        yield from self._cut(
-            index,
-            notice,
-            terminated=terminated,
-            truncated=truncated,
-            metrics=slot.environment.metrics(),
-        )
+        self._count_episode(slot, terminated=terminated)
+        told = slot.environment.metrics()
+        yield from self._cut(slot, notice, terminated=terminated, truncated=truncated, told=told)
         slot.begin_episode()
 
-    @staticmethod
-    def _is_endless(slot: _Slot) -> bool:
-        return slot.environment.episode_limit is None and slot.episode_length >= ENDLESS_STEPS
-
-    @staticmethod
-    def _quota_is_met(slot: _Slot, notice: Notice) -> bool:
-        if slot.quota_steps < notice.quota_steps:
-            return False
-        if notice.quota_episodes == 0:
-            return True
-        return slot.quota_episodes >= notice.quota_episodes and slot.episode_length == 0
-
-    def _drop_unusable(self, indices: Sequence[int], notice: Notice) -> Iterator[Segment]:
+    def _drop_unusable(self, slots: Iterable[_Slot], notice: Notice) -> Iterator[Segment]:
         """Drop the latest step of environments whose observation cannot be used."""
-        for index in indices:
-            slot = self._slots[index]
+        for slot in slots:
             obs, is_step = slot.obs, bool(slot.rows)
             if is_usable(obs):
                 continue
@@ -216,29 +194,23 @@ class Rollout:
                 slot.episode_return -= reward
                 slot.episode_length -= 1
                 slot.quota_steps -= 1
-            bad = int(np.flatnonzero(~(np.abs(obs) <= MOST_PLAYED))[0])
+            bad = int(np.flatnonzero(~(np.abs(obs) <= MAX_PLAYED))[0])
             what = f"observation {bad} is {obs[bad]:g}"
-            yield from self._abandon(index, notice, what, int(is_step))
+            yield from self._abandon(slot, notice, what, int(is_step))
 
-    def _abandon(self, index: int, notice: Notice, what: str, steps: int) -> Iterator[Segment]:
+    def _abandon(self, slot: _Slot, notice: Notice, what: str, steps: int) -> Iterator[Segment]:
         """Cut the episode after the steps that can be used, and begin another."""
-        slot = self._slots[index]
         self._count_dropped(slot, steps, what, is_useless=not slot.rows)
         if slot.rows:
-            self._tally.episode(slot.episode_return, slot.episode_length, terminated=False)
-        yield from self._cut(index, notice, terminated=False, truncated=True)
+            self._count_episode(slot, terminated=False)
+        yield from self._cut(slot, notice, truncated=True)
         slot.begin_episode()
 
     def _cut(
-        self,
-        index: int,
-        notice: Notice,
-        *,
-        terminated: bool,
-        truncated: bool,
-        metrics: tuple[EpisodeMetric, ...] = (),
-    ) -> Iterator[Segment]:
-        slot = self._slots[index]
+        self, slot: _Slot, notice: Notice, *, terminated: bool = False, truncated: bool = False,
+        told: tuple[EpisodeMetric, ...] = (),
+    ) -> Iterator[Segment]:  # fmt: skip
+        """Make a segment of the steps so far, if there are any."""
         if not slot.rows:
             return
         obs, suggestion, log_prob, reward = zip(*slot.rows, strict=True)
@@ -246,11 +218,11 @@ class Rollout:
         try:
             segment = Segment(
                 actor=self._actor,
-                seq=self._seq,
+                seq=self.segments_made,
                 generation=notice.generation,
                 epoch=notice.epoch,
                 weights_version=notice.version,
-                env=index,
+                env=slot.index,
                 obs=np.array(obs),
                 suggestion=np.array(suggestion),
                 log_prob=np.array(log_prob, dtype=np.float32),
@@ -260,7 +232,7 @@ class Rollout:
                 truncated=truncated,
                 episode_return=slot.episode_return,
                 episode_length=slot.episode_length,
-                metrics=metrics,
+                metrics=told,
             )
         except MalformedMessageError as error:  # a sum, or a number of the policy's
             self._count_dropped(slot, len(reward), str(error), is_useless=True)
@@ -269,18 +241,23 @@ class Rollout:
             return
         slot.useless = 0
         slot.quota_episodes += segment.ends_episode
-        self._seq += 1
+        self.segments_made += 1
         yield segment
+
+    def _count_episode(self, slot: _Slot, *, terminated: bool) -> None:
+        self._metrics.episodes.labels("terminated" if terminated else "truncated").inc()
+        self._metrics.episode_return_last.set(slot.episode_return)
+        self._metrics.episode_length.observe(slot.episode_length)
 
     def _count_dropped(self, slot: _Slot, steps: int, what: str, *, is_useless: bool) -> None:
         """Count and say what is dropped; an environment that gives nothing else is broken."""
-        self._tally.count("dropped_transitions", steps, reason="malformed")
+        self._metrics.dropped.labels("malformed").inc(steps)
         self._troubles.dropped(slot.environment.name, what, steps)
         slot.useless += is_useless
-        if slot.useless >= _USELESS_IN_A_ROW:
+        if slot.useless >= _MAX_USELESS_IN_A_ROW:
             raise FaultyEnvironmentError(
                 f"environment {slot.environment.name}: nothing that can be used in "
-                f"{_USELESS_IN_A_ROW} attempts in a row, at last: {what}",
+                f"{_MAX_USELESS_IN_A_ROW} attempts in a row, at last: {what}",
                 by_mistake=True,
             )
 
@@ -289,4 +266,4 @@ def is_usable(obs: Array) -> bool:
     """Whether all numbers can be sent: the square of one that cannot is too large, or none."""
     flat = obs.reshape(-1)
     square = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
-    return square <= MOST_PLAYED * MOST_PLAYED or bool((np.abs(flat) <= MOST_PLAYED).all())
+    return square <= MAX_PLAYED * MAX_PLAYED or bool((np.abs(flat) <= MAX_PLAYED).all())

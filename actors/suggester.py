@@ -35,10 +35,8 @@ class Choice(NamedTuple):
 class Suggester:
     """One version of the weights, ready to act.
 
-    Args:
-        graph: The ONNX graph, as published.
-        mode: ``behaviour`` acts as in training; ``mean`` executes the policy's mean;
-            ``best-of-k`` lets Q choose among the mean and K - 1 suggestions.
+    ``behaviour`` acts as in training; ``mean`` executes the policy's mean; ``best-of-k`` lets Q
+    choose among the mean and K - 1 suggestions.
 
     Raises:
         MalformedMessageError: The graph cannot be loaded or lacks an input or output.
@@ -46,8 +44,7 @@ class Suggester:
 
     def __init__(self, graph: bytes, mode: Mode = "behaviour") -> None:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3
         try:
             self._session = onnxruntime.InferenceSession(
@@ -63,33 +60,22 @@ class Suggester:
                 f"expected obs and {list(Choice._fields)}"
             )
         self._mode = mode
-        self._obs_size = shapes["obs"][-1]
-        self._action_size = outputs["action"][-1]
+        self._sizes = shapes["obs"][-1], outputs["action"][-1]
         self._normal = tuple(shapes["normal"][1:]) if "normal" in shapes else None
         self._gumbel = tuple(shapes["gumbel"][1:]) if "gumbel" in shapes else None
         self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
     def check(self, spaces: Spaces, env_id: str) -> None:
-        """Check that the graph fits an environment.
-
-        Raises:
-            UsageError: It was made for other sizes.
-        """
-        found = (self._obs_size, self._action_size)
-        if found != (spaces.obs_size, spaces.action_size):
+        """Raise a UsageError if the graph was made for other sizes than those of an environment."""
+        found, expected = self._sizes, (spaces.obs_size, spaces.action_size)
+        if found != expected:
             raise UsageError(
-                f"policy: found obs_size and action_size {found}, expected "
-                f"{(spaces.obs_size, spaces.action_size)} for {env_id}; give the options of the "
-                "environment that it was trained on"
+                f"policy: found obs_size and action_size {found}, expected {expected} for "
+                f"{env_id}; give the options of the environment that it was trained on"
             )
 
     def __call__(self, obs: Array, rng: np.random.Generator) -> Choice:
-        """Choose an action for every observation.
-
-        Args:
-            obs: Raw observations, float32 ``[B, D]``.
-            rng: Source of the noise.
-        """
+        """Choose an action for every raw observation, float32 ``[B, D]``."""
         feed = {"obs": obs}
         if self._normal is not None:
             feed["normal"] = self._draw_normal((len(obs), *self._normal), rng)

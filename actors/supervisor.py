@@ -7,11 +7,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
+from a2s.actors.actor import Task
 from a2s.actors.children import Child, Report, Watch, death_of
 from a2s.actors.metrics import Fleet
-from a2s.actors.worker import Task
 from a2s.protocol.env_config import TIMEOUT_S
 from a2s.protocol.errors import A2SError
 
@@ -22,7 +22,7 @@ _DEATHS_WITHOUT_WORK = 5
 _STOP_S = 12.0
 _FAILED_S = 2.0
 _POLL_S = 0.1
-_MOST_SILENT_S = 60.0  # of a worker that reports once a second and is in no call
+_MAX_SILENT_S = 60.0  # of a worker that reports once a second and is in no call
 
 
 @dataclass(slots=True)
@@ -37,23 +37,18 @@ class _Worker:
     accepted: float = 0.0
     error: str = ""
     is_hopeless: bool = False
-    silent_s: float = 0.0  # counted by looks, so that nobody is late when all were suspended
+    silent_s: float = 0.0  # counted by looks, so that none is late when all were suspended
 
 
 class Supervisor:
     """Keeps one worker process per task alive.
 
     A worker that dies, or does not come back from its environment, is replaced after a back-off
-    that grows with every death; after five in a row without a segment that was accepted nothing
-    is gained by going on, and :meth:`run` raises.
-
-    Args:
-        tasks: One per worker.
-        fleet: Told what the workers count.
+    that grows with every death; after five in a row without an accepted segment :meth:`run` raises.
     """
 
     def __init__(self, tasks: list[Task], fleet: Fleet) -> None:
-        self._workers = [_Worker(task, Watch("", TIMEOUT_S, _warn)) for task in tasks]
+        self._workers = [_Worker(task, Watch("", TIMEOUT_S, logger.warning)) for task in tasks]
         self._fleet = fleet
 
     def run(self, stopped: threading.Event) -> None:
@@ -81,9 +76,9 @@ class Supervisor:
         doing = child.doing()
         worker.silent_s += _POLL_S
         cause = worker.watch.overdue(doing)
-        if doing is None and worker.silent_s > _MOST_SILENT_S:
+        if doing is None and worker.silent_s > _MAX_SILENT_S:
             name = worker.watch.env_id
-            cause = f"environment {name}: its process had told nothing for {_MOST_SILENT_S:g} s"
+            cause = f"environment {name}: its process had reported nothing for {_MAX_SILENT_S:g} s"
         code = child.kill() if cause else child.ended()
         if code is None:
             return
@@ -113,16 +108,16 @@ class Supervisor:
         worker.silent_s = -math.inf  # until it reports for the first time
         worker.child = Child(
             "a2s.actors.worker",
-            worker.task.to_map(),
+            asdict(worker.task),
             lambda report: self._take(index, worker, report),
             _relay(index),
         )
 
     def _take(self, index: int, worker: _Worker, report: Report) -> None:
         worker.silent_s = 0.0
-        if "counts" in report:
-            self._fleet.update(index, report["counts"])
-            worker.accepted = report["counts"]["counters"]["acks"].get("accepted", 0.0)
+        if "samples" in report:
+            self._fleet.update(index, report["samples"])
+            worker.accepted = report["accepted"]
         if "env_id" in report:
             worker.watch.env_id, worker.watch.timeout_s = report["env_id"], report["timeout_s"]
         if "error" in report:
@@ -139,10 +134,6 @@ class Supervisor:
         for index, worker in enumerate(self._workers):
             if worker.child is not None:
                 self._fleet.ended(index)
-
-
-def _warn(words: str) -> None:
-    logger.warning("%s", words)
 
 
 def _relay(index: int) -> Callable[[str], None]:

@@ -14,12 +14,12 @@ _ASK_TIMEOUT_S = 5.0
 _ASK_EVERY_S = 1.0
 
 
-class Newest:
-    """A slot for the newest notice.
+class WeightsClient:
+    """Keeps the newest notice, and fetches the weights that it announces.
 
-    An announcement can be lost, so whoever waits also asks, once a second. One that is older than
-    what is known is late, and never seen; but an answer is true: if it is older, the learner that
-    gives it is another one, which does not know what the one before had published.
+    An announcement can be lost, so while an actor waits it also asks, once a second. One that is
+    older than the known notice came late and is ignored. An answer is always taken: if it is older,
+    another learner gives it, which does not know what the one before had published.
     """
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
@@ -31,7 +31,7 @@ class Newest:
         bus.subscribe(keys.notice, lambda payload: self._take(decode(payload, Notice)))
 
     def hear(self, ack: Ack) -> None:
-        """Learn from an answer that there is something else, and have it asked for."""
+        """Have the notice asked for if an acknowledgement names other weights."""
         with self._changed:
             known = self._notice
             if known is None or (ack.generation, ack.weights_version) != known.identity:
@@ -39,7 +39,7 @@ class Newest:
                 self._changed.notify_all()
 
     def forget(self) -> None:
-        """Know nothing, and have it asked for."""
+        """Forget the notice, and have it asked for."""
         with self._changed:
             self._notice, self._asking = None, True
 
@@ -51,14 +51,9 @@ class Newest:
         )
 
     def other_than(self, notice: Notice | None, proceed: Callable[[], bool]) -> Notice | None:
-        """Wait for weights other than these.
+        """Wait for weights other than these, with ``None`` for any; give their notice.
 
-        Args:
-            notice: What is known; ``None`` takes any.
-            proceed: Asked at least once a second; when false, the wait ends.
-
-        Returns:
-            The newest notice, or ``None`` when told not to proceed.
+        ``proceed`` is asked at least once a second; when it is false, the wait ends with ``None``.
         """
         known = None if notice is None else notice.identity
         while proceed():
@@ -74,11 +69,7 @@ class Newest:
         return None
 
     def pull(self) -> Weights | None:
-        """Fetch the newest weights.
-
-        Returns:
-            The weights, or ``None`` when the learner did not answer or the bytes are damaged.
-        """
+        """Fetch the newest weights; ``None`` if there is no answer, or its bytes are damaged."""
         known = self._notice
         reply = self._bus.ask(self._keys.weights, b"", _ASK_TIMEOUT_S)
         if not reply:
@@ -99,7 +90,7 @@ class Newest:
             self._take(decode(reply, Notice), known)
 
     def _take(self, notice: Notice, overruled: Notice | None = None) -> None:
-        """Keep a notice that is newer than what is known, or that overrules it: see above."""
+        """Keep a notice that is newer than the known one, or answers in its place."""
         with self._changed:
             known = self._notice
             if known is None or known is overruled or notice.identity > known.identity:

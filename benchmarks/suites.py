@@ -23,7 +23,6 @@ _BEST_OF_K = {
 }
 _PARTS = {
     "no-obs-norm": _off(norm_obs=False),
-    "loud-rare-obs": _off(quiet_rare_obs=False),
     "no-return-norm": _off(norm_return=False, kappa=1, initial_temperature=0.1),
     "no-layer-norm": _off(layer_norm=False),
     "mlp": _off(network="mlp"),

@@ -1,1 +1,1 @@
-"""The learning side: gathers segments, fits the networks, recovers, publishes, remembers."""
+"""The learning side: takes segments in, fits the networks, recovers, publishes, remembers."""

@@ -2,7 +2,7 @@
 
 from decimal import Decimal, InvalidOperation
 
-_MOST_DIGITS = 309  # as the largest float has; 1e999999999 would not fit into memory
+_MAX_DIGITS = 309  # as the largest float has; 1e999999999 would not fit into memory
 
 
 def whole(given: str | float) -> int:
@@ -15,7 +15,7 @@ def whole(given: str | float) -> int:
         number = Decimal(given)
     except InvalidOperation:
         raise ValueError(f"no number: {given!r}") from None
-    is_short = number.is_finite() and number.adjusted() < _MOST_DIGITS
+    is_short = number.is_finite() and number.adjusted() < _MAX_DIGITS
     if not is_short or number != number.to_integral_value():
         raise ValueError(f"no whole number: {given!r}")
     return int(number)

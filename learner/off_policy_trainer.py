@@ -1,268 +1,207 @@
-"""The off-policy variant: what was played is kept in a replay, and learned from again and again."""
+"""The off-policy variant: what a replay holds is learned from again and again."""
 
-import logging
 import math
 import time
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from a2s.learner.export.off_policy import export
-from a2s.learner.ingest.batching import draw, draw_returns, wants_returns
-from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.ingest.off_policy_row import SHOWN, RoundMeans
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
+from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
-from a2s.learner.replay import description, directory
-from a2s.learner.replay.limiter import Limiter
+from a2s.learner.replay import sampling
+from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
-from a2s.learner.run.config import Device
+from a2s.learner.replay.ring import Rows
 from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.trainer import Outcome, Quota, Saved
+from a2s.learner.trainer import Outcome, Saved
 from a2s.protocol.errors import A2SError
-from a2s.protocol.fields import Spaces
-from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Segment
-from a2s.protocol.transport import Bus
+from a2s.protocol.fields import Array, Spaces
+from a2s.protocol.replay_messages import MAX_STEPS
 
-logger = logging.getLogger(__name__)
-
-_LEAST_HOLD_S = 0.02
-COLUMNS = ("gradient_steps", "replay_rows", "samples_per_insert_error", *SHOWN)
+_RETURNS_EVERY_UPDATES = 20
+SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
 
 
-class OffPolicyLearning:
-    """Algorithm 2 of the paper and what goes past it, behind `a2s.learner.trainer.Learning`.
+AnyReplay = Replay | RemoteReplay
 
-    Args:
-        env_id: Environment.
-        spaces: Its spaces.
-        hyper: Hyperparameters.
-        seed: Of the run.
-        path: Directory of the run; the replay is ``replay/`` in it.
-        ledger: Knows which segments were acknowledged.
-        metrics: Where updates are shown.
-        device: Of the networks.
-        saved: A `state` to go on from; what was inserted since then is still there, and due.
 
-    Raises:
-        RunDirectoryError: ``saved`` does not fit; or the replay cannot be made or opened.
-        UsageError: The hyperparameters contradict each other.
+def draw_batch(
+    replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Generator
+) -> sampling.Transitions:
+    """Draw the batch of an update."""
+    return replay.sample(
+        hyper.batch_rows,
+        rng,
+        n_step=hyper.n_step,
+        gamma=hyper.gamma,
+        prioritised=hyper.prioritised,
+        beta=hyper.importance_exponent,
+    )
+
+
+def draw_returns(replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Generator) -> Array:
+    """Draw discounted returns, over as many steps as any replay adds up: float32 ``[B]``."""
+    return replay.sample(hyper.batch_rows, rng, n_step=MAX_STEPS, gamma=hyper.gamma).reward
+
+
+class Source(Protocol):
+    """Where batches come from: the run's own replay, or another run's.
+
+    Attributes:
+        columns: Of ``updates.csv``, its own ones.
     """
 
-    columns = COLUMNS
-    max_policy_lag: int | None = None
-    most_suggested = 1.001  # 1, and what rounding may add
-    plays_on = False
+    columns: tuple[str, ...]
+
+    def new_obs(self, updates: int) -> Array:
+        """Observations that the normaliser has not seen, ``[N, D]``; asked once a round."""
+        ...
+
+    def may_update(self, updates: int, made: int) -> bool:
+        """Whether the next of all updates belongs to this round, after ``made`` of them."""
+        ...
+
+    def draw_returns(self, updates: int) -> Array:
+        """Draw discounted returns before the next update, float32 ``[B]``."""
+        ...
+
+    def draw(self, updates: int) -> sampling.Transitions:
+        """Draw the batch of the next update."""
+        ...
+
+    def learned(self, row: Rows, error: Tensor) -> None:
+        """An update was made of these rows; ``error`` is that of each, ``[B]``."""
+        ...
+
+    def end_round(self, made: int, update_s: float) -> Mapping[str, object]:
+        """Show and return the values of `columns`; the fastest update took ``update_s``."""
+        ...
+
+    def state(self) -> dict[str, object]:
+        """What a checkpoint holds, fit for JSON."""
+        ...
+
+    def close(self) -> None:
+        """Close files."""
+        ...
+
+
+class OffPolicyTrainer:
+    """Algorithm 2 of the paper and what goes past it: a `Trainer`.
+
+    Args:
+        algorithm: What learns, in the state to go on from.
+        source: Where batches come from.
+        spaces: Of the environment.
+        metadata: Of every graph.
+        metrics: Where updates are shown.
+        updates: Made so far.
+    """
+
+    overlaps_learning = False
 
     def __init__(
         self,
-        env_id: str,
+        algorithm: OffPolicy,
+        source: Source,
         spaces: Spaces,
-        hyper: OffPolicyConfig,
-        seed: int,
-        path: Path,
-        ledger: Ledger,
+        metadata: Mapping[str, str],
         metrics: LearnerMetrics,
-        device: Device,
-        saved: Saved | None,
+        updates: int = 0,
     ) -> None:
-        self._hyper = hyper
-        self._metrics = metrics
+        self._algorithm, self._source = algorithm, source
+        self._metadata, self._metrics = metadata, metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
-        self._algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, seed, device)
-        if saved is not None:
-            self._algorithm.load(saved[0])
-        self._learn_from = update_of(self._algorithm)
-        self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
-        samples_per_step = hyper.utd_ratio * hyper.batch_rows
-        self._limiter = Limiter(
-            samples_per_step,
-            hyper.warm_up_steps,
-            max(hyper.lead_steps * samples_per_step, hyper.batch_rows),
-            segment_steps=hyper.send_every_steps,
-            batch_size=hyper.batch_rows,
-        )
-        self._updates = 0
-        self._update_s = 0.01
-        self._quota_steps = hyper.send_every_steps
-        self._shown_waits: dict[str, int] = {}
-        least_rows = 0 if saved is None else saved[1]["learned_from"]
-        self._replay = _open(path / "replay", env_id, spaces, hyper, ledger, least_rows)
-        self._limiter.count_insert(self._replay.live.stop)
-        self._learned_from = 0
-        if saved is not None:
-            self._go_on(saved[1])
-        self._observe_replay()
-        torn = self._replay.torn_records
-        metrics.replay_torn.inc(torn)
-        if torn:
-            logger.warning("replay %s: cut %d torn records at its end", path / "replay", torn)
-        self._show()
+        self._update = update_of(algorithm)
+        self._updates = updates
+        self.columns = (*source.columns, *SHOWN)
 
     @property
     def updates(self) -> int:
         """Gradient updates made."""
         return self._updates
 
-    def quota(self, num_envs: int) -> Quota:
-        """As many steps of every environment as an actor sends at once, if it may send them all.
-
-        Actors are held back when learning is behind: a round that waited for more steps than they
-        may send would wait long.
-        """
-        steps = self._hyper.send_every_steps
-        self._quota_steps = steps * num_envs
-        batch_steps = min(self._quota_steps, self._limiter.free_inserts)
-        return Quota(max(1, batch_steps), steps, 0)
-
-    def graph(
-        self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
-    ) -> bytes:
+    def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
-        del progress
         warms_up = self._updates == 0
-        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=to_keep)
-        return export(suggester, version, metadata)
+        suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=averaged)
+        return export(suggester, version, self._metadata)
 
-    def keep(self, segment: Segment) -> None:
-        """Put a segment into the replay; it survives the death of this process then."""
-        self._replay.insert(segment)
-        self._limiter.count_insert(segment.num_steps)
+    def learn(self, progress: float) -> Outcome:
+        """Make the updates of a round, then let actors have the new weights.
 
-    def hold_s(self, pending_batches: float) -> float:
-        """Time that learning needs to be back within its band, at the best pace of its last round.
-
-        Not at the mean one: the first update ever compiles for seconds. Never longer than a round,
-        for the next one begins only when more was played.
+        Raises:
+            A2SError: The networks are no longer finite, or the source refuses, or is gone.
         """
-        del pending_batches  # they are in the replay, whatever is played next
-        if self._limiter.may_insert():
-            return 0.0
-        behind = self._limiter.excess / self._hyper.batch_rows
-        return min(max(behind * self._update_s, _LEAST_HOLD_S), self._round * self._update_s)
-
-    def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
-        """Make the updates that are due, but then let actors have the new weights.
-
-        Steps that arrive meanwhile are due in the next round. One that has much to catch up with
-        ends at twice the updates that a quota asks for.
-        """
-        obs = np.concatenate([segment.obs for segment in segments])
-        self._algorithm.observe(torch.from_numpy(obs))
-        self._learned_from += len(obs)
-        made, update_s = RoundMeans(), math.inf
-        while made.count < self._round and self._limiter.may_sample(self._learned_from):
+        new_obs = self._source.new_obs(self._updates)
+        if len(new_obs):
+            self._algorithm.observe(torch.from_numpy(new_obs))
+        means, update_s = RoundMeans(), math.inf
+        while self._source.may_update(self._updates, means.count):
             begin_s = time.monotonic()
-            made.add(self._update())
+            means.add(self._learn_once())
             update_s = min(update_s, time.monotonic() - begin_s)
-        if not self._algorithm.is_finite():
-            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
-        means: dict[str, float] = {}
-        if made.count:
-            self._update_s = update_s
-            means = made.means()
-            self._metrics.show_off_policy(means, made.count)
-        self._show()
-        own = {
-            "gradient_steps": made.count,
-            "replay_rows": len(self._replay),
-            "samples_per_insert_error": self._limiter.error,
-        }
-        return Outcome(dict.fromkeys(SHOWN) | own | means)
+        self._require_finite()
+        row: dict[str, object] = dict.fromkeys(SHOWN)
+        if means.count:
+            shown = means.means()
+            self._metrics.show_off_policy(shown, means.count)
+            row |= shown
+        return Outcome(row | dict(self._source.end_round(means.count, update_s)))
 
     def state(self) -> Saved:
-        """Of the algorithm, the limiter and the draws; the replay keeps itself, on the disk."""
-        state = (
-            self._algorithm.state(),
-            {
-                "updates": self._updates,
-                "learned_from": self._learned_from,
-                "limiter": self._limiter.state(),
-                "highest_priority": self._replay.highest_priority,
-                "rng": self._rng.bit_generator.state,
-            },
-        )
-        self._replay.flush()
-        return state
+        """Of the algorithm and the source.
 
-    def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
-        """Let others sample the replay."""
-        ServedReplay(bus, keys, self._replay, generation).open()
+        Raises:
+            A2SError: The networks are no longer finite.
+        """
+        self._require_finite()
+        return self._algorithm.state(), {"updates": self._updates, **self._source.state()}
 
     def close(self) -> None:
-        """Close the replay."""
-        self._replay.close()
+        """Close the source."""
+        self._source.close()
 
-    @property
-    def _round(self) -> int:
-        """Updates of a round at most."""
-        return 2 * math.ceil(self._quota_steps * self._hyper.utd_ratio)
+    def _require_finite(self) -> None:
+        if not self._algorithm.is_finite():
+            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
 
-    def _go_on(self, scalars: dict[str, Any]) -> None:
-        self._updates, self._learned_from = scalars["updates"], scalars["learned_from"]
-        self._limiter.load(scalars["limiter"], self._replay.live.stop)
-        self._replay.highest_priority = scalars["highest_priority"]
-        self._shown_waits = self._waits()
-        self._rng.bit_generator.state = scalars["rng"]
-
-    def _observe_replay(self) -> None:
-        """Take into account what no batch brought before a kill."""
-        obs = self._replay.obs_since(self._learned_from)
-        if len(obs):
-            self._algorithm.observe(torch.from_numpy(obs))
-        self._learned_from = self._replay.live.stop
-
-    def _update(self) -> OffPolicyStats:
-        if wants_returns(self._hyper, self._updates):
-            self._algorithm.observe_returns(draw_returns(self._replay, self._hyper, self._rng))
-        batch, rows = draw(self._replay, self._hyper, self._rng)
-        stats = self._learn_from(batch)
-        if self._hyper.prioritised:
-            self._replay.update_priorities(rows, stats.error.cpu().numpy())
-        self._limiter.count_sample()
+    def _learn_once(self) -> OffPolicyStats:
+        normalises = self._algorithm.hyper.norm_return
+        if normalises and self._updates % _RETURNS_EVERY_UPDATES == 0:
+            returns = self._source.draw_returns(self._updates)
+            self._algorithm.observe_returns(torch.from_numpy(returns))
+        drawn = self._source.draw(self._updates)
+        tensors = (torch.from_numpy(getattr(drawn, name)) for name in Transitions._fields)
+        stats = self._update(Transitions(*tensors))
+        self._source.learned(drawn.row, stats.error)
         self._updates += 1
         return stats
 
-    def _waits(self) -> dict[str, int]:
-        return {"insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits}
 
-    def _show(self) -> None:
-        metrics, limiter = self._metrics, self._limiter
-        metrics.replay_rows.set(len(self._replay))
-        metrics.limiter_error.set(limiter.error)
-        waits = self._waits()
-        for side, count in waits.items():
-            metrics.limiter_waits.labels(side=side).inc(count - self._shown_waits.get(side, 0))
-        self._shown_waits = waits
+class RoundMeans:
+    """Means over the updates of a round, added up without waiting for the device.
 
+    Attributes:
+        count: Updates so far.
+    """
 
-def _open(
-    path: Path,
-    env_id: str,
-    spaces: Spaces,
-    hyper: OffPolicyConfig,
-    ledger: Ledger,
-    least_rows: int,
-) -> Replay:
-    """Open the replay that is there, given the wanted capacity; else make one."""
-    sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
-    alpha = hyper.priority_exponent
-    if not (path / description.NAME).exists():
-        if least_rows:
-            logger.warning("replay %s: is not there any more, another is begun", path)
-        return directory.create(path, env_id, spaces, alpha=alpha, **sizes)
-    return directory.open_existing(
-        path,
-        env_id=env_id,
-        spaces=spaces,
-        is_known=ledger.knows,
-        least_rows=least_rows,
-        alpha=alpha,
-        **sizes,
-    )
+    def __init__(self) -> None:
+        self.count = 0
+        self._total: Tensor | float = 0.0
+
+    def add(self, stats: OffPolicyStats) -> None:
+        """Take an update into account."""
+        self._total = self._total + torch.stack([getattr(stats, name) for name in SHOWN])
+        self.count += 1
+
+    def means(self) -> dict[str, float]:
+        """By the names of `OffPolicyStats`; there was at least one update."""
+        assert isinstance(self._total, Tensor)
+        return dict(zip(SHOWN, (self._total / self.count).tolist(), strict=True))

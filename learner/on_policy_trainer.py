@@ -4,19 +4,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 
+import numpy as np
 import torch
 
 from a2s.learner.export.on_policy import export
-from a2s.learner.ingest.batching import to_batch
+from a2s.learner.ingest.store import Quota
+from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
 from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.trainer import Outcome, Quota, Saved
+from a2s.learner.trainer import Outcome, Saved
 from a2s.protocol.fields import Spaces
-from a2s.protocol.keys import Keys
-from a2s.protocol.messages import MOST_SUGGESTED, Segment
-from a2s.protocol.transport import Bus
+from a2s.protocol.messages import MAX_SUGGESTED, Segment
 
 _HOLD_S = 0.05
 _TESTED = ("draw", "probability", "r", "r_best")
@@ -26,13 +26,14 @@ COLUMNS = (
 )
 
 
-class OnPolicyLearning:
-    """Algorithm 1 of the paper, or A2C, behind `a2s.learner.trainer.Learning`.
+class OnPolicyTrainer:
+    """Algorithm 1 of the paper, or A2C: a `Trainer`, and the `Store` of its batches.
 
     Args:
         spaces: Of the environment.
         hyper: Hyperparameters.
         seed: Of the run.
+        metadata: Of every graph.
         metrics: Where updates are shown.
         saved: A `state` to go on from.
 
@@ -41,24 +42,27 @@ class OnPolicyLearning:
     """
 
     columns = COLUMNS
-    most_suggested = MOST_SUGGESTED
+    max_suggestion = MAX_SUGGESTED
 
     def __init__(
         self,
         spaces: Spaces,
         hyper: OnPolicyConfig,
         seed: int,
+        metadata: Mapping[str, str],
         metrics: LearnerMetrics,
-        saved: Saved | None,
+        saved: Saved | None = None,
     ) -> None:
-        self._hyper = hyper
-        self._metrics = metrics
+        self._hyper, self._metadata, self._metrics = hyper, metadata, metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
         if saved is not None:
             self._algorithm.load(*saved)
         self.max_policy_lag: int | None = hyper.max_policy_lag
-        self.plays_on = hyper.max_policy_lag > 0
+        self.overlaps_learning = hyper.max_policy_lag > 0
+        self._stored: list[tuple[int, Segment]] = []
+        self._batch: list[Segment] = []
+        self._first_version = math.inf  # that the present networks were given, once they were
 
     @property
     def updates(self) -> int:
@@ -72,23 +76,32 @@ class OnPolicyLearning:
         episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
         return Quota(steps, max(1, math.ceil(steps / num_envs)), episodes)
 
-    def graph(
-        self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False
-    ) -> bytes:
-        """Suggester with Q, as soon as that may choose; the same to keep."""
-        del to_keep
-        return export(self._algorithm.suggester(*self._bounds, progress), version, dict(metadata))
+    def store(self, slot: int, segment: Segment) -> None:
+        """Put a segment into the batch that is being played."""
+        self._stored.append((slot, segment))
 
-    def keep(self, segment: Segment) -> None:
-        """Nothing is stored: a batch is forgotten once it was learned from."""
+    def close_batch(self) -> None:
+        """Order the batch by slots, environments and numbers, not by arrival."""
+        stored, self._stored = self._stored, []
+        stored.sort(key=lambda pair: (pair[0], pair[1].env, pair[1].seq))
+        self._batch = [segment for _, segment in stored]
 
-    def hold_s(self, pending_batches: float) -> float:
+    def hold_s(self, num_batches: float) -> float:
         """A little while a batch waits: what is played meanwhile may be stale."""
-        return _HOLD_S if pending_batches >= 1 else 0.0
+        return _HOLD_S if num_batches >= 1 else 0.0
 
-    def learn(self, segments: Sequence[Segment], progress: float, *, is_behind: bool) -> Outcome:
-        """Make one update, or a recovery."""
-        stats = self._algorithm.update(to_batch(segments), progress, is_behind=is_behind)
+    def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
+        """Suggester with Q, as soon as that may choose; there is no average."""
+        self._first_version = min(self._first_version, version)
+        suggester = self._algorithm.suggester(*self._bounds, progress)
+        return export(suggester, version, dict(self._metadata))
+
+    def learn(self, progress: float) -> Outcome:
+        """Make one update, or a recovery; the batch is forgotten."""
+        made_by = max(segment.weights_version for segment in self._batch)
+        is_behind = made_by < self._first_version < math.inf
+        stats = self._algorithm.update(to_batch(self._batch), progress, is_behind=is_behind)
+        self._batch, self._first_version = [], math.inf
         self._metrics.show_update(stats)
         tested = {f"recovery_{n}": getattr(stats.recovery, n, None) for n in _TESTED}
         return Outcome(asdict(stats) | tested, stats.kl, stats.recovery, stats.restored_version)
@@ -97,8 +110,26 @@ class OnPolicyLearning:
         """Of the algorithm."""
         return self._algorithm.state()
 
-    def serve(self, bus: Bus, keys: Keys, generation: int) -> None:
-        """There is nothing to ask for."""
-
     def close(self) -> None:
         """There is no file."""
+
+
+def to_batch(segments: Sequence[Segment]) -> Batch:
+    """Put segments one after the other."""
+
+    def joined(name: str) -> torch.Tensor:
+        return torch.from_numpy(np.concatenate([getattr(s, name) for s in segments]))
+
+    returns = [s.episode_return for s in segments if s.ends_episode]
+    return Batch(
+        obs=joined("obs"),
+        suggestion=joined("suggestion"),
+        log_prob=joined("log_prob"),
+        reward=joined("reward"),
+        lengths=torch.tensor([s.num_steps for s in segments]),
+        weights_version=torch.tensor([s.weights_version for s in segments]),
+        final_obs=torch.from_numpy(np.stack([s.final_obs for s in segments])),
+        terminated=torch.tensor([s.terminated for s in segments]),
+        truncated=torch.tensor([s.truncated for s in segments]),
+        episode_returns=torch.tensor(returns, dtype=torch.float32),
+    )

@@ -1,50 +1,29 @@
-"""Messages to bytes and back: msgpack maps with a schema version, and nothing that can run code.
+"""Messages to bytes and back: msgpack maps with a schema version; see ``docs/protocol.md``.
 
-A message is a map of its fields plus ``"a2s"`` (the major version) and ``"kind"``. An array is a
-map ``{"dtype", "shape", "data"}`` of little-endian bytes in C order. Sizes are checked before
-anything is decoded, names and types before anything is built. Within a major version fields may be
-added: one that is not known is passed over, one that is missing has its default
-(``docs/protocol.md``, "Versions").
+The size is checked before anything is decoded, names and types before anything is built.
+Fields may be added at any time: an unknown one is ignored, a missing one has its default.
 """
 
 import itertools
+import math
 import reprlib
 import types
 import typing
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import msgpack
 import numpy as np
 
 from a2s.protocol import keys, messages, replay_messages
-from a2s.protocol.errors import (
-    MalformedMessageError,
-    OversizeMessageError,
-    SchemaMismatchError,
-)
+from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
 
 SCHEMA_VERSION = keys.MAJOR
 MIB = 1 << 20
-MAX_BYTES: dict[type, int] = {
-    messages.Hello: MIB,
-    messages.Welcome: 16 * MIB,  # an offset of a million observations is 4 MB
-    messages.Refusal: MIB,
-    messages.Segment: 16 * MIB,
-    messages.Ack: MIB,
-    messages.Notice: MIB,
-    messages.Weights: 256 * MIB,
-    messages.RecoveryEvent: MIB,
-    messages.ActorStatus: MIB,
-    messages.RunStatus: 16 * MIB,
-    replay_messages.ReplayInfo: 16 * MIB,
-    replay_messages.ReplayRequest: MIB,
-    replay_messages.ReplaySample: 16 * MIB,
-}
-_KINDS = {kind.__name__: kind for kind in MAX_BYTES}
+_MAX_CONTAINERS = 1 << 16  # an empty map takes one byte on the wire and 64 in memory
 _DTYPE = np.dtype("<f4")
-_MAX_CONTAINERS = 1 << 16
 
 Message = (
     messages.Hello
@@ -63,9 +42,19 @@ Message = (
 )
 M = TypeVar("M", bound=Message)
 
+MAX_BYTES: dict[type, int] = dict.fromkeys(typing.get_args(Message), MIB) | {
+    messages.Welcome: 16 * MIB,  # an offset of a million observations is 4 MB
+    messages.Segment: 16 * MIB,
+    messages.Weights: 256 * MIB,
+    messages.RunStatus: 16 * MIB,
+    replay_messages.ReplayInfo: 16 * MIB,
+    replay_messages.ReplaySample: 16 * MIB,
+}
+_KINDS = {kind.__name__: kind for kind in MAX_BYTES}
+
 
 def refuse_major_1() -> bytes:
-    """Answer a hello of the protocol before this one, in its own words."""
+    """Make a refusal that an actor of protocol 1 can read."""
     reason = (
         f"this actor speaks protocol 1, the learner protocol {SCHEMA_VERSION}: it lacks how the "
         "environment is made, and the keys that begin with a2s/2/; install the learner's a2s there"
@@ -77,11 +66,12 @@ def encode(message: Message) -> bytes:
     """Turn a message into bytes.
 
     Raises:
-        MalformedMessageError: It is larger than a receiver would take.
+        OversizeMessageError: A receiver would refuse it.
     """
     kind = type(message)
-    body = {"a2s": SCHEMA_VERSION, "kind": kind.__name__, **_to_map(message)}
-    payload: bytes = msgpack.packb(body)
+    payload: bytes = msgpack.packb(
+        {"a2s": SCHEMA_VERSION, "kind": kind.__name__, **_to_map(message)}
+    )
     _check_size(len(payload), kind)
     return payload
 
@@ -91,7 +81,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
 
     Raises:
         MalformedMessageError: Oversize, not msgpack, another major version or kind, missing
-            fields, wrong types, or values that contradict each other.
+            fields, wrong types, or values that the message itself refuses.
     """
     _check_size(len(payload), *kinds)
     expected = " or ".join(kind.__name__ for kind in kinds)
@@ -115,7 +105,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
 
 
 def _unpack(payload: bytes) -> Any:
-    """Unpack, bounding memory: an empty map takes one byte here and 64 in Python."""
+    """Unpack at most ``_MAX_CONTAINERS`` maps and arrays."""
     made = itertools.count(1)
 
     def count(container: Any) -> Any:
@@ -140,21 +130,15 @@ class _Field:
     required: bool
 
 
-_PLANS: dict[type, tuple[_Field, ...]] = {}
-
-
+@cache
 def _plan(kind: type) -> tuple[_Field, ...]:
-    plan = _PLANS.get(kind)
-    if plan is None:
-        hints = typing.get_type_hints(kind)
-        plan = _PLANS[kind] = tuple(
-            _Field(f.name, _reader(hints[f.name]), f.default is MISSING) for f in fields(kind)
-        )
-    return plan
+    hints = typing.get_type_hints(kind)
+    return tuple(_Field(f.name, _reader(hints[f.name]), f.default is MISSING) for f in fields(kind))
 
 
 def _to_map(message: Any) -> dict[str, Any]:
-    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(type(message))}
+    kind: type = type(message)
+    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(kind)}
 
 
 def _to_wire(value: Any) -> Any:
@@ -217,15 +201,13 @@ def _brief(value: Any) -> str:
 
 
 def _read_array(value: Any, where: str) -> np.ndarray:
-    _expect(isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}, value, where,
-            "an array map of dtype, shape and data")  # fmt: skip
+    is_map = isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}
+    _expect(is_map, value, where, "an array map of dtype, shape and data")
     dtype, shape, data = value["dtype"], value["shape"], value["data"]
     _expect(dtype == _DTYPE.str, dtype, f"{where}: dtype", repr(_DTYPE.str))
     _expect(isinstance(data, bytes), data, f"{where}: data", "bytes")
     sizes = isinstance(shape, list) and all(type(n) is int and 0 <= n <= len(data) for n in shape)
     _expect(sizes and len(shape) <= 2, shape, f"{where}: shape", "at most two sizes that fit data")
-    num_bytes = _DTYPE.itemsize
-    for size in shape:
-        num_bytes *= size
+    num_bytes = _DTYPE.itemsize * math.prod(shape)
     _expect(len(data) == num_bytes, len(data), f"{where}: data", f"{num_bytes} bytes")
     return np.frombuffer(data, dtype=_DTYPE).reshape(shape)

@@ -1,4 +1,4 @@
-"""What messages are made of: arrays, names, the spaces of an environment, and their checks."""
+"""What messages are made of: arrays, names, spaces, and their checks."""
 
 import re
 from dataclasses import dataclass
@@ -13,38 +13,27 @@ Array = npt.NDArray[np.float32]
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
 NAME = "at most 96 of letters, digits, _ . -, beginning with no . or -"
 METRIC_NAME = "1 to 96 printable characters"
-MOST_METRICS = 32
+MAX_METRICS = 32
 
 
 def is_name(text: str) -> bool:
-    """Tell whether the name of a run or an actor can be part of a key: it is `NAME`."""
+    """Tell whether a run or an actor can have this name: it is `NAME`, so it fits in a key."""
     return _NAME.fullmatch(text) is not None
 
 
 def is_metric_name(text: str) -> bool:
-    """Tell whether a number of an episode can be called so: it is `METRIC_NAME`.
-
-    It heads a column, labels a metric and is shown; what breaks lines could do none of these.
-    """
+    """Tell whether a metric can have this name: it is `METRIC_NAME`, so it breaks no line."""
     return 0 < len(text) <= 96 and text.isprintable()
 
 
 def require(condition: bool, subject: str, found: object, expected: str) -> None:
-    """Refuse what does not hold.
-
-    Raises:
-        MalformedMessageError: One line: subject, what was found, what was expected.
-    """
+    """Raise MalformedMessageError unless the condition holds."""
     if not condition:
         raise MalformedMessageError(f"{subject}: found {found!s:.100}, expected {expected}")
 
 
 def require_finite(subject: str, **arrays: Array) -> None:
-    """Refuse arrays with numbers that are none.
-
-    Raises:
-        MalformedMessageError: Which one, and how many.
-    """
+    """Raise MalformedMessageError for the first array with NaN or infinity."""
     for name, array in arrays.items():
         bad = int(array.size - np.isfinite(array).sum())
         require(bad == 0, f"{subject}: {name}", f"{bad} non-finite values", "finite numbers")
@@ -52,23 +41,12 @@ def require_finite(subject: str, **arrays: Array) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spaces:
-    """The flat Box spaces of an environment.
+    """The flat Box spaces of an environment, in its own units; arrays are float32."""
 
-    Attributes:
-        obs_size: D.
-        action_low: Lowest action, in the environment's units, float32 ``[A]``.
-        action_high: Highest action, float32 ``[A]``.
-        obs_offset: Taken off every observation before it becomes float32, float32 ``[D]``;
-            ``None``: nothing is (docs/adr/0019).
-
-    Raises:
-        MalformedMessageError: No dimensions, or bounds that are not finite and ordered.
-    """
-
-    obs_size: int
-    action_low: Array
-    action_high: Array
-    obs_offset: Array | None = None
+    obs_size: int  # D
+    action_low: Array  # [A]
+    action_high: Array  # [A]
+    obs_offset: Array | None = None  # [D], subtracted from every observation (docs/adr/0019)
 
     def __post_init__(self) -> None:
         """Check the sizes and the order of the bounds."""
@@ -89,10 +67,7 @@ class Spaces:
         return int(self.action_low.size)
 
     def differs_from(self, other: "Spaces") -> str:
-        """Describe the first difference to another environment's spaces, or return ``""``.
-
-        The offset is the learner's choice, and no property of an environment.
-        """
+        """Describe the first difference to other spaces, or return ``""``; ignore the offset."""
         if self.obs_size != other.obs_size:
             return f"obs_size {other.obs_size}, expected {self.obs_size}"
         if self.action_size != other.action_size:

@@ -1,27 +1,26 @@
-"""Peers within one process: the semantics of a network without one."""
+"""Peers within one process: a network's semantics without a network."""
 
 import logging
 import threading
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any
 
 from a2s.protocol.transport import Answer, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
 
-P = ParamSpec("P")
-R = TypeVar("R")
+Declared = tuple["InProcessBus", str, Callable[..., Any]]  # by whom, on which key, its handler
 
 
 class Exchange:
-    """Where the peers of one process meet. Everything declared here is seen by all."""
+    """Where the peers of one process meet."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
-        self.answers: dict[str, tuple[InProcessBus, Callable[[bytes], bytes | None]]] = {}
-        self.subscribers: list[tuple[InProcessBus, str, OnMessage]] = []
+        self.answers: dict[str, tuple[InProcessBus, Answer]] = {}
+        self.subscribers: list[Declared] = []
         self.presence: dict[str, InProcessBus] = {}
-        self.watchers: list[tuple[InProcessBus, str, OnPresence]] = []
+        self.watchers: list[Declared] = []
 
 
 class InProcessBus:
@@ -34,11 +33,9 @@ class InProcessBus:
         self._exchange = exchange
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
-        """Call the handler of ``key``; in one process there is nothing to wait for."""
+        """Call the handler of ``key``."""
         found = self._exchange.answers.get(key)
-        if found is None:
-            return None
-        return found[1](payload)
+        return None if found is None else found[1](payload)
 
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key``."""
@@ -47,10 +44,7 @@ class InProcessBus:
 
     def publish(self, key: str, payload: bytes) -> None:
         """Call every subscriber."""
-        with self._exchange.lock:
-            found = [h for _, k, h in self._exchange.subscribers if _matches(key, k)]
-        for handler in found:
-            handler(payload)
+        self._call(self._exchange.subscribers, key, payload)
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
         """Hear what is published on ``key``."""
@@ -61,14 +55,14 @@ class InProcessBus:
         """Be seen under ``key``."""
         with self._exchange.lock:
             self._exchange.presence[key] = self
-        self._tell(key, present=True)
+        self._call(self._exchange.watchers, key, key, True)
 
     def withdraw_presence(self, key: str) -> None:
         """No longer be seen under ``key``."""
         with self._exchange.lock:
             gone = self._exchange.presence.pop(key, None)
         if gone is not None:
-            self._tell(key, present=False)
+            self._call(self._exchange.watchers, key, key, False)
 
     def watch_presence(self, key: str, handler: OnPresence) -> None:
         """Hear who comes and goes."""
@@ -89,11 +83,11 @@ class InProcessBus:
         for key in gone:
             self.withdraw_presence(key)
 
-    def _tell(self, key: str, *, present: bool) -> None:
+    def _call(self, declared: list[Declared], key: str, *args: bytes | str | bool) -> None:
         with self._exchange.lock:
-            found = [h for _, k, h in self._exchange.watchers if _matches(key, k)]
+            found = [handler for _, where, handler in declared if _matches(key, where)]
         for handler in found:
-            handler(key, present)
+            handler(*args)
 
 
 def _matches(key: str, expression: str) -> bool:
@@ -103,15 +97,15 @@ def _matches(key: str, expression: str) -> bool:
     )
 
 
-def _guarded(key: str, handler: Callable[P, R]) -> Callable[P, R | None]:
-    """Call a handler for one message at a time; one that raises is logged and says nothing."""
+def _guarded(key: str, handler: Callable[..., Any]) -> Callable[..., Any]:
+    """Call a handler for one message at a time; if it raises, log that and return ``None``."""
     turn = threading.RLock()
 
-    def call(*args: P.args, **kwargs: P.kwargs) -> R | None:
+    def call(*args: bytes | str | bool) -> Any:
         with turn:
             try:
-                return handler(*args, **kwargs)
-            except Exception:  # as on a network: it is no business of whoever asked or published
+                return handler(*args)
+            except Exception:  # as on a network, whoever asked or published does not see it
                 logger.exception("handler failed key=%s", key)
                 return None
 

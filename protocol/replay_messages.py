@@ -7,66 +7,45 @@ from a2s.protocol.fields import Array, Spaces, require, require_finite
 
 Column = Literal["obs", "action", "reward", "next_obs", "discount", "weight", "row"]
 COLUMNS: tuple[Column, ...] = get_args(Column)
-MOST_SAMPLED = 4096
-MOST_STEPS = 64
+MAX_SAMPLED = 4096
+MAX_STEPS = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReplayInfo:
-    """What a served replay holds now.
-
-    Attributes:
-        run: Name of the run.
-        generation: Which start of the learner serves it.
-        env_id: Environment of the transitions.
-        spaces: Its spaces.
-        capacity: Transitions that it holds at most.
-        begin: Number of the oldest row that can be sampled.
-        end: Rows ever inserted, and so the number of the next.
-    """
+    """What a served replay holds now: rows ``begin`` to ``end`` can be sampled."""
 
     run: str
-    generation: int
+    generation: int  # start of the learner that serves it
     env_id: str
     spaces: Spaces
-    capacity: int
-    begin: int
-    end: int
+    capacity: int  # transitions
+    begin: int  # number of the oldest row
+    end: int  # rows ever inserted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReplayRequest:
-    """Somebody asks for a batch of transitions.
+    """A peer asks for a batch of transitions.
 
-    Attributes:
-        batch_size: B, 1 to 4096.
-        seed: Of the draw: while nothing is inserted and no priority changes, the same request is
-            answered by the same batch.
-        n_step: Steps that a transition goes over at most, 1 to 64.
-        gamma: Discount of one step, 0 to 1.
-        prioritised: Draw in proportion to the priorities, else uniformly.
-        beta: How far importance weights make up for that, 0 to 1.
-        fields: What is wanted of each transition, at least one.
-
-    Raises:
-        MalformedMessageError: A number is out of its range, or a field comes twice.
+    The same request gets the same batch until a row is inserted or a priority changes.
     """
 
-    batch_size: int
-    seed: int
-    n_step: int
-    gamma: float
-    prioritised: bool
-    beta: float
-    fields: tuple[Column, ...]
+    batch_size: int  # B
+    seed: int  # of the draw
+    n_step: int  # steps of a transition, fewer where its episode ends
+    gamma: float  # discount of one step
+    prioritised: bool  # draw in proportion to the priorities, else uniformly
+    beta: float  # how far importance weights make up for that
+    fields: tuple[Column, ...]  # what is wanted of each transition
 
     def __post_init__(self) -> None:
         """Check that the work is bounded."""
         subject = "replay request"
         size, steps, names = self.batch_size, self.n_step, self.fields
-        require(1 <= size <= MOST_SAMPLED, f"{subject}: batch_size", size, f"1..{MOST_SAMPLED}")
+        require(1 <= size <= MAX_SAMPLED, f"{subject}: batch_size", size, f"1..{MAX_SAMPLED}")
         require(0 <= self.seed < 1 << 63, f"{subject}: seed", self.seed, "0 to 2^63 - 1")
-        require(1 <= steps <= MOST_STEPS, f"{subject}: n_step", steps, f"1..{MOST_STEPS}")
+        require(1 <= steps <= MAX_STEPS, f"{subject}: n_step", steps, f"1..{MAX_STEPS}")
         require(0.0 <= self.gamma <= 1.0, f"{subject}: gamma", self.gamma, "0 to 1")
         require(0.0 <= self.beta <= 1.0, f"{subject}: beta", self.beta, "0 to 1")
         once = len(names) == len(set(names)) > 0
@@ -75,34 +54,21 @@ class ReplayRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReplaySample:
-    """A batch of transitions; what was not asked for is missing.
+    """A batch of transitions; columns that were not asked for are ``None`` or empty.
 
     The target of a value at ``(obs, action)`` is ``reward + discount * value(next_obs)``.
-
-    Attributes:
-        begin: Number of the oldest row when it was drawn.
-        end: Number of the row that was to come next.
-        obs: Observation before the first step, float32 ``[B, D]``.
-        action: The first step's executed suggestion, canonical, not clipped, float32 ``[B, A]``.
-        reward: Discounted sum of the rewards of the steps, float32 ``[B]``.
-        next_obs: Observation after the last step, float32 ``[B, D]``.
-        discount: gamma to the number of steps; 0 where the last one terminated, float32 ``[B]``.
-        weight: Importance weight, the highest is 1, float32 ``[B]``.
-        row: Number of the first step's row, B of them, or none.
-
-    Raises:
-        MalformedMessageError: The columns disagree about B, or a number is not finite.
+    Arrays are float32.
     """
 
-    begin: int
-    end: int
-    obs: Array | None
-    action: Array | None
-    reward: Array | None
-    next_obs: Array | None
-    discount: Array | None
-    weight: Array | None
-    row: tuple[int, ...]
+    begin: int  # number of the oldest row when the batch was drawn
+    end: int  # rows ever inserted by then
+    obs: Array | None  # [B, D], before the first step
+    action: Array | None  # [B, A], the first step's executed suggestion, canonical, not clipped
+    reward: Array | None  # [B], discounted sum over the steps
+    next_obs: Array | None  # [B, D], after the last step
+    discount: Array | None  # [B], gamma to the number of steps; 0 if the last one terminated
+    weight: Array | None  # [B], importance weight, the highest is 1
+    row: tuple[int, ...]  # number of each first step's row, counted from the first ever inserted
 
     def __post_init__(self) -> None:
         """Check the columns against each other."""

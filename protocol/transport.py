@@ -1,8 +1,7 @@
 """What a2s needs of a network: questions, publications and presence.
 
-Two classes have this shape: :class:`a2s.protocol.zenoh_bus.ZenohBus` for real runs, and
-:class:`a2s.protocol.in_process.InProcessBus` for peers within one process. One suite of tests,
-``tests/contract``, holds both to the words below.
+``zenoh_bus.ZenohBus`` is a real network, ``in_process.InProcessBus`` one within a process;
+``tests/contract`` tests both.
 """
 
 from collections.abc import Callable
@@ -16,24 +15,24 @@ OnPresence = Callable[[str, bool], None]
 class Bus(Protocol):
     """One peer's connection.
 
-    Handlers run on threads of the bus, one message at a time per declaration; they must be quick.
+    Handlers run on threads of the bus, one message at a time per declaration. They must be quick.
+    One that raises is logged, and goes on with the next message.
     """
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Ask the peer that answers ``key``.
 
-        Returns:
-            The answer, or ``None`` when there was none: nobody answers, the peer died, or
-            ``timeout_s`` seconds went by. The question may still have been read.
+        ``None``: nobody answers, the peer died, or ``timeout_s`` seconds went by. The question
+        may have been read all the same.
         """
         ...
 
     def answer(self, key: str, handler: Answer) -> None:
-        """Answer the questions to ``key`` from now on; a handler that raises gives no answer."""
+        """Answer the questions to ``key`` from now on."""
         ...
 
     def publish(self, key: str, payload: bytes) -> None:
-        """Tell everybody who listens to ``key``, without waiting and without a promise."""
+        """Send to everybody who listens to ``key``; it may be lost."""
         ...
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
@@ -49,10 +48,7 @@ class Bus(Protocol):
         ...
 
     def watch_presence(self, key: str, handler: OnPresence) -> None:
-        """Hear who is present, ``handler(key, True)``, and who leaves, ``handler(key, False)``.
-
-        Those who are already present are told first.
-        """
+        """Call ``handler(key, present)`` for all who are present, who come and who leave."""
         ...
 
     def close(self) -> None:

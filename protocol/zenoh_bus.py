@@ -1,7 +1,6 @@
 """The network: one zenoh session with explicit links only, no discovery, no shared memory.
 
-The learner's session is a router (docs/adr/0003), so no other process is needed on either side.
-Why each setting is as it is stands beside it.
+The learner's session is the router (docs/adr/0003), so no other process is needed.
 """
 
 import json
@@ -23,49 +22,36 @@ _PATIENCE_S = 10.0
 
 _ENDPOINT = re.compile(r"(tcp|tls|quic|ws)/[^/?#]+:(?P<port>\d{1,5})|unixsock-stream/.+")
 
-_LINK = {
-    "tx": {
-        # A peer that hangs is noticed after this; shorter gives false alarms on loaded hosts.
-        "lease": 10_000,
-        "keep_alive": 4,
-        "queue": {
-            "congestion_control": {
-                "block": {"wait_before_close": 20_000_000},
-                "drop": {"wait_before_drop": 20_000, "max_wait_before_drop_fragments": 500_000},
-            }
-        },
-    },
-    "rx": {"buffer_size": 1 << 20, "max_message_size": 512 << 20},
+_SETTINGS = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "scouting/delay": 0,  # otherwise opening takes half a second
+    # Queries over shared memory can be lost (eclipse-zenoh/zenoh #2628).
+    "transport/shared_memory/enabled": False,
+    "transport/unicast/max_sessions": 4096,
+    "transport/unicast/accept_pending": 1024,
+    # A peer that hangs is noticed after this; shorter gives false alarms on loaded hosts.
+    "transport/link/tx/lease": 10_000,
+    "transport/link/tx/keep_alive": 4,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 20_000_000,
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20_000,
+    "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 500_000,
+    "transport/link/rx/buffer_size": 1 << 20,
+    "transport/link/rx/max_message_size": 512 << 20,
 }
 
 
-def _config(mode: Literal["router", "client"], **more: Any) -> zenoh.Config:
-    return zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": mode,
-                "scouting": {
-                    "multicast": {"enabled": False},
-                    "gossip": {"enabled": False},
-                    "delay": 0,  # otherwise opening takes half a second
-                },
-                "transport": {
-                    # Queries over shared memory can be lost (eclipse-zenoh/zenoh #2628).
-                    "shared_memory": {"enabled": False},
-                    "unicast": {"max_sessions": 4096, "accept_pending": 1024},
-                    "link": _LINK,
-                },
-                **more,
-            }
-        )
-    )
+def _config(mode: Literal["router", "client"], settings: dict[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for path, value in {"mode": mode, **_SETTINGS, **settings}.items():
+        config.insert_json5(path, json.dumps(value))
+    return config
 
 
 class ZenohBus:
     """A peer on the network; see :class:`a2s.protocol.transport.Bus`.
 
-    Made by :meth:`listen` or :meth:`connect`. It must be closed before the interpreter ends, so
-    hold it in a ``with contextlib.closing(...)``.
+    Close it before the interpreter ends: ``with contextlib.closing(ZenohBus.connect(...))``.
     """
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -83,7 +69,7 @@ class ZenohBus:
         """
         check_endpoint(endpoint)
         try:
-            return cls(zenoh.open(_config("router", listen={"endpoints": [endpoint]})))
+            return cls(zenoh.open(_config("router", {"listen/endpoints": [endpoint]})))
         except zenoh.ZError as error:
             raise UsageError(
                 f"cannot listen on {endpoint}: {_reason(error)}; "
@@ -94,26 +80,17 @@ class ZenohBus:
     def connect(cls, endpoint: str, proceed: Callable[[], bool]) -> "ZenohBus":
         """Open an actor's side; once open, it finds a restarted learner again by itself.
 
-        Args:
-            endpoint: Where the learner listens.
-            proceed: Asked after each attempt of about a second; when false, the last one was.
+        ``proceed`` is asked after each failed attempt of about a second; if false, give up.
 
         Raises:
             UsageError: The endpoint is malformed.
             UnreachableError: Nobody listens there.
         """
         check_endpoint(endpoint)
+        retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
         config = _config(
             "client",
-            connect={
-                "endpoints": [endpoint],
-                "timeout_ms": 1000,
-                "retry": {
-                    "period_init_ms": 100,
-                    "period_max_ms": 500,
-                    "period_increase_factor": 1.5,
-                },
-            },
+            {"connect/endpoints": [endpoint], "connect/timeout_ms": 1000, "connect/retry": retry},
         )
         begin = said = time.monotonic()
         while True:
@@ -131,7 +108,7 @@ class ZenohBus:
                     logger.warning("%s; still trying, start `a2s learner` there", nobody)
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
-        """Query ``key``; an error reply, a timeout or silence are all ``None``."""
+        """Query ``key``; an error reply, a timeout and silence are all ``None``."""
         querier = self._queriers.get((key, timeout_s))
         if querier is None:
             querier = self._session.declare_querier(key, timeout=timeout_s)
@@ -152,7 +129,7 @@ class ZenohBus:
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 
     def publish(self, key: str, payload: bytes) -> None:
-        """Put on ``key``, dropped where a listener cannot keep up: one must not stop the rest."""
+        """Put on ``key``; dropped for a listener that cannot keep up, not to stop the others."""
         self._session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
@@ -202,11 +179,7 @@ def _logged(key: str) -> Iterator[None]:
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuse what cannot be an endpoint.
-
-    Raises:
-        UsageError: It is not of the form PROTOCOL/HOST:PORT.
-    """
+    """Raise UsageError unless the endpoint is of the form PROTOCOL/HOST:PORT."""
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or not 0 < int(found["port"] or 1) < 1 << 16:
         raise UsageError(
@@ -216,6 +189,6 @@ def check_endpoint(endpoint: str) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Take what the operating system said out of zenoh's error, for example "Address in use"."""
+    """Find the operating system's words in zenoh's error, for example "Address in use"."""
     found = re.search(r"\[[^\[]*?: ([^\[\]:]+) \(os error", str(error))
     return found[1] if found else str(error).split("\n")[0].split(" at /")[0]

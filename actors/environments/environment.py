@@ -14,8 +14,8 @@ from a2s.actors.environments.observations import Observations
 from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError, said_by
-from a2s.protocol.fields import Array
-from a2s.protocol.messages import MOST_METRICS, EpisodeMetric
+from a2s.protocol.fields import MAX_METRICS, Array
+from a2s.protocol.messages import EpisodeMetric
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +34,6 @@ class Environment:
         episode_limit: Steps after which Gymnasium truncates an episode; ``None``: never.
 
     Args:
-        config: Which, and how to make it.
         worker: Number of the actor process.
         index: Of the environment in the process.
         activity: Where every call into it is noted.
@@ -56,50 +55,40 @@ class Environment:
     ) -> None:
         self.name = config.env_id
         self._faults = Faults(config.env_id)
-        self._activity = activity or Activity()
+        activity = activity or Activity()
+        self._begin, self._end = activity.begin, activity.end  # looked up once: a step calls these
         self._index = index
         self._metric_names = config.metric_names
         self._info: Mapping[str, Any] = {}
-        self._activity.begin(MAKE, index)
+        self._begin(MAKE, index)
         try:
-            self._env, self._takes_seed = make(config, worker, index)
-            self.layout: Layout = read_layout(config.env_id, self._env.observation_space)
+            self._env, takes_seed = make(config, worker, index)
+            space: Any = self._env.observation_space
+            self.layout: Layout = read_layout(config.env_id, space, config.frame_stack)
             self.spaces = read_spaces(config.env_id, self._env, config.frame_stack)
         except BaseException as error:  # whatever a user's code raises
             raise as_usage(config, error) or self._faults.of_make(error) from error
-        self._activity.end()
-        if config.frame_stack > 1:
-            self.layout = [
-                (f"{name}, {config.frame_stack - 1 - age} before", size)
-                for age in range(config.frame_stack)
-                for name, size in self.layout
-            ]
+        self._end()
         self.episode_limit = limit_of(self._env)
-        space: Any = self._env.action_space
+        space = self._env.action_space
         self._action_dtype, self._action_shape = space.dtype, space.shape
         self._rounds = not np.issubdtype(space.dtype, np.floating)
         self._is_plain = not self._rounds and len(space.shape) == 1
         self._repeats = config.action_repeat
         size = self.spaces.obs_size // config.frame_stack
         self._observations = Observations(self._faults, self._env, size, config.frame_stack, offset)
-        # Looked up once: a step calls these.
         self._obs = self._observations.read
         self._step = self._env.step if self._repeats == 1 else self._repeated
-        self._begin, self._end = self._activity.begin, self._activity.end
-        if not self._takes_seed and index == 0:
+        if not takes_seed and index == 0:
             logger.warning(
                 "environment %s: its reset takes no seed; random and np.random are seeded instead",
                 config.env_id,
             )
 
     def reset(self, seed: int | None = None) -> Array:
-        """Begin an episode.
+        """Begin an episode; give its first observation, float32 ``[D]``.
 
-        Args:
-            seed: Begins a reproducible series of episodes; ``None`` goes on with the present one.
-
-        Returns:
-            The first observation, float32 ``[D]``.
+        A seed begins a reproducible series of episodes; ``None`` goes on with the present one.
 
         Raises:
             FaultyEnvironmentError: It raised, or returned what no reset may.
@@ -107,34 +96,27 @@ class Environment:
         return self._obs("reset", self._reset(seed))
 
     def first_obs(self, seed: int) -> npt.NDArray[np.float64]:
-        """Begin an episode like :meth:`reset`, and give what is seen before it is float32: ``[D]``.
-
-        Raises:
-            FaultyEnvironmentError: It raised, or returned what no reset may.
-        """
+        """Begin an episode like :meth:`reset`; give what it observed as float64, ``[D]``."""
         obs = self._reset(seed)
         self._obs("reset", obs)
         return self._observations.exact(obs)
 
     def _reset(self, seed: int | None) -> Any:
-        self._activity.begin(RESET, self._index)
+        self._begin(RESET, self._index)
         try:
             result = self._env.reset(seed=seed)
         except BaseException as error:  # whatever a user's code raises
             raise self._faults.of_call(
                 "reset", self._env, error, lambda env: env.reset(seed=seed)
             ) from error
-        self._activity.end()
+        self._end()
         wrong = wrong_reset(result)
         if wrong:
             raise self._faults.returned(self._env, "reset", wrong.removeprefix("reset returned "))
         return result[0]
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool]:
-        """Make one step; after the last one of an episode, call :meth:`reset`.
-
-        Args:
-            action: In the environment's units, float32 ``[A]``.
+        """Make one step with an action in the environment's units, float32 ``[A]``.
 
         Returns:
             Next observation (float32 ``[D]``, the true final one at an end), reward,
@@ -163,36 +145,33 @@ class Environment:
         return self._obs("step", obs), reward, terminated, truncated and not terminated
 
     def metrics(self) -> tuple[EpisodeMetric, ...]:
-        """Give what ``info`` told with the latest step under the keys that are wanted."""
+        """Give the finite numbers of the latest ``info`` under the keys that are wanted."""
         if not isinstance(self._info, Mapping):
             return ()
         found = []
-        for name in self._metric_names[:MOST_METRICS]:
+        for name in self._metric_names[:MAX_METRICS]:
             try:
-                value = self._info.get(name)
-                if value is None:
-                    continue
-                number = float(np.asarray(value).reshape(()))
-            except Exception:  # noqa: BLE001  # absent, no number, or a user's object raises
+                number = float(np.asarray(self._info.get(name, np.nan)).reshape(()))
+            except Exception:  # noqa: BLE001  # no number, or a user's object raises
                 continue
             if np.isfinite(number):
                 found.append(EpisodeMetric(name=name, value=number))
         return tuple(found)
 
     def other_numbers(self) -> list[str]:
-        """Name what ``info`` told with the latest step and nobody has asked for."""
+        """Name the numbers of the latest ``info`` that nobody has asked for."""
         info = self._info if isinstance(self._info, Mapping) else {}
         numbers = [k for k, v in info.items() if isinstance(v, int | float | np.number | np.bool_)]
         return sorted(str(k) for k in numbers if k not in self._metric_names)
 
     def close(self) -> None:
-        """Free the simulator; one that raises is named, and no harm."""
-        self._activity.begin(CLOSE, self._index)
+        """Free the simulator; what it raises is logged, and does no harm."""
+        self._begin(CLOSE, self._index)
         try:
             self._env.close()
         except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
             logger.warning("%s", self._faults.raised("close", error))
-        self._activity.end()
+        self._end()
 
     def _converted(self, action: Array) -> Any:
         if self._rounds:

@@ -27,11 +27,7 @@ Env = gymnasium.Env[Any, Any]
 
 
 class Faults:
-    """Makes the errors of one environment.
-
-    Args:
-        env_id: Its name for the user.
-    """
+    """Makes the errors of one environment."""
 
     def __init__(self, env_id: str) -> None:
         self._env_id = env_id
@@ -45,7 +41,7 @@ class Faults:
         )
 
     def of_make(self, error: BaseException, made: Any = None) -> FaultyEnvironmentError:
-        """Its constructor, ``made`` if it is known, failed, or what it has made is none."""
+        """Its constructor, ``made`` if known, failed, or made what is no environment."""
         constructor = made or self._constructor()
         if isinstance(error.__context__, TypeError) and _GYMNASIUM_ADDS in str(error):
             error = error.__context__
@@ -53,7 +49,7 @@ class Faults:
         if is_of_call and "unexpected keyword argument" in str(error):
             words = " ".join(str(error).split())
             taken = inspect.signature(constructor).parameters if constructor else ()
-            what = f"make: {words}; it takes {', '.join(taken) or 'none'}"
+            what = f"make: {words}; it takes {', '.join(taken) or 'no arguments'}"
             return self._fault(what, _place_of_init(constructor))
         return self.raised("make", error, place_of(error) or _place_of_init(constructor))
 
@@ -73,11 +69,7 @@ class Faults:
     ) -> FaultyEnvironmentError:
         """A reset or step failed: in the user's code, or over what that has returned.
 
-        Args:
-            call: Which.
-            env: The environment with all wrappers.
-            error: What came of it.
-            again: Makes the same call of one of the layers, to look at what that returns.
+        ``again`` makes the same call of one of the layers of ``env``, to see what that returns.
         """
         if _is_of_users(error) or os.getpid() != self._pid:
             return self.raised(call, error)
@@ -92,7 +84,7 @@ class Faults:
         return self._fault(wrong, place) if wrong else self.raised(call, error, place)
 
     def returned(self, env: Env, call: str, what: str) -> FaultyEnvironmentError:
-        """It returned what none may."""
+        """It returned what is not allowed."""
         return self._fault(f"{call} returned {what}", place_of_return(layer_with(env, call), call))
 
     def misfit(

@@ -21,7 +21,7 @@ from a2s.actors.environments.faults import Env, Faults
 from a2s.protocol.env_config import EnvConfig, wrapper_of
 from a2s.protocol.errors import A2SError, UsageError
 
-MOST_SEED = 0x7FFF_FFFF  # what an int of C holds
+MAX_SEED = 0x7FFF_FFFF  # what an int of C holds
 _SHOWN = 8
 _START = Path.cwd()  # an environment may go elsewhere
 
@@ -30,15 +30,7 @@ mujoco.set_mju_user_warning(lambda _words: None)
 
 
 def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
-    """Make an environment.
-
-    Args:
-        config: Which, and how.
-        worker: Number of the actor process on its machine.
-        env_index: Of the environment in the process.
-
-    Returns:
-        The environment, its observations as it has them, and whether its reset takes a seed.
+    """Make an environment; give it, and whether its reset takes a seed.
 
     Raises:
         UsageError: There is no such module, id, class, wrapper or argument of Gymnasium's.
@@ -48,7 +40,11 @@ def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
     env = _construct(config, config.constructor_arguments(worker, env_index))
     for setting in config.wrappers:
         module, name, arguments = wrapper_of(setting)
-        env = _wrapped(config, env, _named(module, name), arguments)
+        wrapper = _named(module, name)
+        try:
+            env = wrapper(env, **arguments)
+        except BaseException as error:  # whatever a user's code raises
+            raise Faults(config.env_id).of_wrapper(wrapper, error) from error
     return env, _mend_resets(env)
 
 
@@ -74,7 +70,7 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
         # Gymnasium announces newer versions of an id; the user chose this one.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
-            module = _module_of(config.env_id, place)
+            module = _module(place, f"environment {config.env_id!r}") if place else None
             if name in gymnasium.registry:
                 spec = gymnasium.registry[name]
             elif module is None:
@@ -95,29 +91,19 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
             raise Faults(config.env_id).of_make(error, made) from error
 
 
-def _module_of(env_id: str, place: str) -> Any:
-    try:
-        return _module(place) if place else None
-    except UsageError as error:
-        raise UsageError(f"environment {env_id!r}: {error}") from None
-
-
 def _in_module(env_id: str, module: Any, name: str) -> Any:
     """Find a class, or a function, that makes an environment, in a module that has no such id."""
     made = getattr(module, name, None)
     if callable(made):
         return made
-    own = [
-        n
-        for n, found in vars(module).items()
-        if isinstance(found, type) and issubclass(found, gymnasium.Env)
-    ]
+    classes = [n for n, found in vars(module).items() if isinstance(found, type)]
+    own = sorted(n for n in classes if issubclass(getattr(module, n), gymnasium.Env))
     more = ", ..." if len(own) > _SHOWN else ""
-    there = f"there are {', '.join(sorted(own)[:_SHOWN])}{more}" if own else "it has no environment"
+    there = f"there are {', '.join(own[:_SHOWN])}{more}" if own else "it has no environment"
     raise UsageError(f"environment {env_id!r}: found neither an id nor a class {name!r}; {there}")
 
 
-def _module(place: str) -> Any:
+def _module(place: str, subject: str) -> Any:
     """Import the module of an environment, or run its file."""
     if not place.endswith(".py"):
         try:
@@ -126,23 +112,23 @@ def _module(place: str) -> Any:
             if error.name is None or not place.startswith(error.name):
                 raise  # it is there, and lacks something itself
             raise UsageError(
-                f"{place}: {_line(error)}; install it, run where it lies, or name its file: "
-                "./FILE.py:NAME"
+                f"{subject}: {place}: {_line(error)}; install it, run where it lies, or name its "
+                "file: ./FILE.py:NAME"
             ) from None
     path = Path(place)
     if not path.exists():
         path = _START / path.name  # of another machine's directory: the same file in ours
     if not path.exists():
-        raise UsageError(f"{place}: found no such file, nor {path.name} in {_START}")
+        raise UsageError(f"{subject}: {place}: found no such file, nor {path.name} in {_START}")
     path = path.resolve()
     loaded = sys.modules.get(path.stem)
     if loaded is not None and getattr(loaded, "__file__", None) == str(path):
         return loaded
     sys.path.append(str(path.parent))
-    return _run_file(path)
+    return _run_file(path, subject)
 
 
-def _run_file(path: Path) -> Any:
+def _run_file(path: Path, subject: str) -> Any:
     found = importlib.util.spec_from_file_location(path.stem, path)
     assert found is not None
     assert found.loader is not None
@@ -153,25 +139,16 @@ def _run_file(path: Path) -> Any:
         if "relative import" not in str(error):
             raise
         raise UsageError(
-            f"{path.name}: it imports from the package that it is a part of; name it as Python "
-            f"does, PACKAGE.{path.stem}:NAME, in the directory above the package"
+            f"{subject}: {path.name}: it imports from the package that it is a part of; name it "
+            f"as Python does, PACKAGE.{path.stem}:NAME, in the directory above the package"
         ) from None
     return module
 
 
-def _wrapped(
-    config: EnvConfig, env: Env, wrapper: Callable[..., Env], arguments: dict[str, Any]
-) -> Env:
-    try:
-        return wrapper(env, **arguments)
-    except BaseException as error:  # whatever a user's code raises
-        raise Faults(config.env_id).of_wrapper(wrapper, error) from error
-
-
 def _named(module: str, name: str) -> Callable[..., Env]:
     try:
-        found = getattr(_module(module), name, None)
-    except (UsageError, ImportError) as error:
+        found = getattr(_module(module, "--wrapper"), name, None)
+    except ImportError as error:
         raise UsageError(f"--wrapper: {_line(error)}") from None
     if not callable(found):
         raise UsageError(f"--wrapper: found no {name!r} in {module}, expected a class there")
@@ -180,19 +157,19 @@ def _named(module: str, name: str) -> Callable[..., Env]:
 
 
 def _mend_resets(env: Env) -> bool:
-    """Let a ``reset()`` that takes no seed or options be called with both.
+    """Let every ``reset()`` that takes no seed or options be called with both.
 
     Returns:
-        Whether the innermost one takes a seed.
+        Whether all of them take a seed.
     """
     layer, takes_seed = env, True
     while True:
         accepted = _accepted(layer)
+        takes_seed = takes_seed and "seed" in accepted
         if accepted != {"seed", "options"}:
             layer.reset = _without(layer.reset, accepted)  # type: ignore[method-assign]
         if not isinstance(layer, gymnasium.Wrapper):
-            return takes_seed and "seed" in accepted
-        takes_seed = takes_seed and "seed" in accepted
+            return takes_seed
         layer = layer.env
 
 

@@ -22,10 +22,9 @@ class Observations:
     """Reads what one environment gives, whatever its shape, dtype or kind of sequence.
 
     Args:
-        faults: Makes the errors.
         env: With all wrappers.
-        size: Numbers of one observation.
-        frame_stack: How many of the latest are given at once, the newest last.
+        size: Count of the numbers of one observation.
+        frame_stack: Count of the latest that are given at once, the newest last.
         offset: Taken off what is given, float32 ``[frame_stack * size]``.
     """
 
@@ -42,14 +41,16 @@ class Observations:
         self._size, self._shape = size, (size * frame_stack,)
         self._stack = frame_stack
         self._offset = 0.0 if offset is None else offset.astype(np.float64)
-        self._is_direct = frame_stack == 1 and offset is None and is_flat(self._space)
+        self._is_direct = (
+            frame_stack == 1 and offset is None and isinstance(self._space, spaces.Box)
+        )
         self._frames: list[_Float64s] = []
 
     def read(self, call: str, obs: Any) -> Array:
         """Copy what ``reset`` or ``step`` gave: float32 ``[frame_stack * size]``.
 
         Raises:
-            FaultyEnvironmentError: It is not made of so many numbers.
+            FaultyEnvironmentError: It is not made of that many numbers.
         """
         try:
             found = self._float32(call, obs)
@@ -62,7 +63,7 @@ class Observations:
         return found.reshape(self._shape)
 
     def exact(self, obs: Any) -> _Float64s:
-        """Give what was read last, ``obs``, before it was float32."""
+        """Give ``obs``, which was read last, before it was float32."""
         return np.concatenate(self._frames or [_numbers(self._space, obs)])
 
     def _float32(self, call: str, obs: Any) -> Array:
@@ -87,11 +88,6 @@ class Observations:
                 return self._float32(call, obs)
         except Exception as error:  # noqa: BLE001  # a user's object may raise anything
             raise self._faults.misfit(self._env, call, obs, self._size, error) from None
-
-
-def is_flat(space: "spaces.Space[Any]") -> bool:
-    """Whether observations need only be reshaped: a Box of any shape."""
-    return isinstance(space, spaces.Box)
 
 
 def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:

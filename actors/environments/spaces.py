@@ -12,7 +12,7 @@ from gymnasium.spaces.utils import flatdim
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import Array, Spaces
 
-_MOST_OBS = 1_000_000
+_MAX_OBS = 1_000_000
 _PARTS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
 _NESTS = (spaces.Dict, spaces.Tuple)
 
@@ -28,21 +28,25 @@ def read_spaces(env_id: str, env: Env, frame_stack: int) -> Spaces:
     """
     low, high = _bounds(env_id, env)
     size = flatdim(env.observation_space) * frame_stack
-    if size > _MOST_OBS:
+    if size > _MAX_OBS:
         raise UsageError(
             f"environment {env_id}: found {size:,} numbers in an observation, expected at most "
-            f"{_MOST_OBS:,}; leave some out with a --wrapper"
+            f"{_MAX_OBS:,}; leave some out with a --wrapper"
         )
     return Spaces(obs_size=size, action_low=low, action_high=high)
 
 
-def read_layout(env_id: str, space: "spaces.Space[Any]") -> Layout:
-    """Name the parts of a flattened observation and their sizes, in the order of its numbers.
+def read_layout(env_id: str, space: "spaces.Space[Any]", frame_stack: int) -> Layout:
+    """Name the parts of stacked flat observations and their sizes, in the order of the numbers.
 
     Raises:
         UsageError: A part is an image, or cannot be made numbers of a fixed count.
     """
-    return [(name or "obs", flatdim(part)) for name, part in _parts(env_id, space, "")]
+    layout = [(name or "obs", flatdim(part)) for name, part in _parts(env_id, space, "")]
+    if frame_stack == 1:
+        return layout
+    ages = range(frame_stack - 1, -1, -1)
+    return [(f"{name}, {age} before", size) for age in ages for name, size in layout]
 
 
 def _parts(
@@ -71,7 +75,7 @@ def _parts(
         raise UsageError(
             f"environment {env_id}: found {called} in {space}; supported are Box, Discrete, "
             "MultiBinary and MultiDiscrete, also in Dict and Tuple: let a --wrapper module:Class "
-            "make such of it"
+            "make one of these of it"
         )
     return [(name, space)]
 
@@ -89,7 +93,7 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
         span = f"environment {env_id}: action {index} has bounds {a:g} to {b:g}"
         if not (np.isfinite(a) and np.isfinite(b)):
             raise UsageError(
-                f"{span}, expected finite ones; give it such in a --wrapper module:Class with an "
+                f"{span}, expected finite ones; set them in a --wrapper module:Class with an "
                 "action_space of its own, or with --env-kwargs if it has an option for them"
             )
         with np.errstate(over="ignore"):
@@ -127,4 +131,4 @@ def _instead(env_id: str, env: Env) -> str:
         return "--env-kwargs continuous=true makes it one"
     if base == "CartPole":
         return "--env InvertedPendulum-v5 is like it with a Box"
-    return "let a --wrapper module:Class take a Box and make such actions of it"
+    return "let a --wrapper module:Class take a Box and make these actions of it"

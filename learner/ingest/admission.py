@@ -1,61 +1,62 @@
-"""The terms of a run: what every actor is told, and what segments are held to."""
+"""Admission to a run: what every actor is told, and what its segments are held to."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from a2s.protocol.env_config import EnvConfig
+from a2s.learner.run.config import RunConfig
 from a2s.protocol.fields import Spaces
-from a2s.protocol.messages import Clock, Hello, Notice, Segment
-
-_MOST_BATCHES = 4
+from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
-    """What every actor is told, and what segments are held to.
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Judges hellos and segments.
 
     Attributes:
-        run: Name of the run.
+        run: Options of the run.
+        spaces: Of its environment.
         generation: Which start of the learner this is.
-        env_id: Environment.
-        spaces: Its spaces.
-        num_envs: Environments of an actor that was not told otherwise.
-        clock: ``lockstep`` or ``async``.
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
-        most_suggested: Size of the numbers of a suggestion.
-        seed: Of the run.
-        num_actors: Actors that the first batch waits for.
-        env: How the environment is made; ``None``: with its id alone.
+        max_suggestion: Largest absolute value in a suggestion.
     """
 
-    run: str
-    generation: int
-    env_id: str
+    run: RunConfig
     spaces: Spaces
-    num_envs: int
-    clock: Clock
+    generation: int
     max_policy_lag: int | None
-    most_suggested: float
-    seed: int
-    num_actors: int
-    env: EnvConfig | None = None
+    max_suggestion: float
 
     @property
     def seed_before_joining(self) -> int:
         """Seed of what is random while environments are made: the same for all actors."""
-        return int(np.random.SeedSequence((self.seed, self.generation)).generate_state(1)[0])
+        return int(np.random.SeedSequence((self.run.seed, self.generation)).generate_state(1)[0])
+
+    def welcome(self, slot: int, seed: int) -> Welcome:
+        """Answer a hello; ``slot`` is -1 for an actor that has only asked."""
+        run = self.run
+        return Welcome(
+            run=run.run,
+            generation=self.generation,
+            env_id=run.env,
+            spaces=self.spaces,
+            num_envs=run.envs,
+            clock=run.clock,
+            slot=slot,
+            seed=seed,
+            env=run.env_config(),
+        )
 
     def difference(self, hello: Hello) -> str:
         """How the environment of a hello with spaces differs, or ``""``."""
         assert hello.spaces is not None
-        if hello.env_id != self.env_id:
-            return f"environment: found {hello.env_id}, expected {self.env_id}"
+        if hello.env_id != self.run.env:
+            return f"environment: found {hello.env_id}, expected {self.run.env}"
         difference = self.spaces.differs_from(hello.spaces)
         return f"environment {hello.env_id}: found {difference}" if difference else ""
 
     def misfit(self, segment: Segment, num_envs: int) -> str:
-        """Why a segment cannot be of an actor with so many environments, or ``""``."""
+        """Why a segment cannot be of an actor with ``num_envs`` environments, or ``""``."""
         found = (segment.obs.shape[1], segment.suggestion.shape[1])
         expected = (self.spaces.obs_size, self.spaces.action_size)
         if found != expected:
@@ -63,20 +64,15 @@ class Terms:
         if segment.env >= num_envs:
             return f"found env {segment.env}, expected less than {num_envs}"
         largest = float(np.abs(segment.suggestion).max())
-        if largest > self.most_suggested:
-            return f"found suggestion {largest:g}, expected at most {self.most_suggested:g} in size"
+        if largest > self.max_suggestion:
+            return f"found suggestion {largest:g}, expected at most {self.max_suggestion:g} in size"
         return ""
 
-    def too_old(self, segment: Segment, notice: Notice, pending_batches: float) -> str:
-        """Why a segment is stale, or ``""``; ``notice`` is of the newest weights."""
-        if segment.epoch != notice.epoch:
-            return f"epoch {segment.epoch}, this is {notice.epoch}"
-        lag, allowed = notice.version - segment.weights_version, self.max_policy_lag
-        if allowed is None:
-            return ""
-        if lag > allowed:
+    def too_old(self, segment: Segment, newest: Notice) -> str:
+        """Why a segment is stale, or ``""``."""
+        if segment.epoch != newest.epoch:
+            return f"epoch {segment.epoch}, this is {newest.epoch}"
+        lag, allowed = newest.version - segment.weights_version, self.max_policy_lag
+        if allowed is not None and lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
-        # A lockstep quota is taken whole, however long its episodes.
-        if self.clock == "async" and pending_batches >= _MOST_BATCHES:
-            return "more waits than can be learned from in time"
         return ""

@@ -12,7 +12,7 @@ from pathlib import Path
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Verdict
 
-_LONGEST_LEAP = 10_000
+_MAX_LEAP = 10_000
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
 
@@ -22,19 +22,16 @@ class Accounts:
 
     Attributes:
         sent: Segments that actors have numbered, from the first to the last number seen of each.
-        accepted: Taken to be learned from.
         duplicate: Answers to segments that had been answered before; part of no sum.
-        stale: Too old to learn from.
-        refused: Unusable.
         lost: Numbered between others but never received.
     """
 
-    sent: int
-    accepted: int
-    duplicate: int
-    stale: int
-    refused: int
-    lost: int
+    sent: int = 0
+    accepted: int = 0
+    duplicate: int = 0
+    stale: int = 0
+    refused: int = 0
+    lost: int = 0
 
 
 @dataclass(slots=True)
@@ -49,7 +46,7 @@ class _Sender:
         return self.first <= seq < self.next_seq and seq not in self.missing
 
     def leaps(self, seq: int) -> bool:
-        return not self.first - _LONGEST_LEAP <= seq < self.next_seq + _LONGEST_LEAP
+        return not self.first - _MAX_LEAP <= seq < self.next_seq + _MAX_LEAP
 
     def add(self, seq: int) -> None:
         self.missing.discard(seq)
@@ -83,21 +80,17 @@ class Ledger:
 
     def has(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts a duplicate if so."""
-        sender = self._senders.get(actor)
-        if sender is None or not sender.has(seq):
-            return False
-        self._duplicates += 1
-        return True
+        is_known = self.knows(actor, seq)
+        self._duplicates += is_known
+        return is_known
 
     def knows(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts nothing."""
-        sender = self._senders.get(actor)
-        return sender is not None and sender.has(seq)
+        return actor in self._senders and self._senders[actor].has(seq)
 
     def leaps(self, actor: str, seq: int) -> bool:
         """Whether a number is so far from those seen that it cannot be the actor's next."""
-        sender = self._senders.get(actor)
-        return sender is not None and sender.leaps(seq)
+        return actor in self._senders and self._senders[actor].leaps(seq)
 
     def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         """Write an answer down; it survives the death of this process when this returns.
@@ -117,7 +110,7 @@ class Ledger:
         self._count(actor, seq, verdict, steps)
 
     def accounts(self) -> Accounts:
-        """Add everything up."""
+        """Add up all answers."""
         return Accounts(
             sent=sum(s.next_seq - s.first for s in self._senders.values()),
             lost=sum(len(sender.missing) for sender in self._senders.values()),

@@ -1,16 +1,21 @@
-"""Who plays: the actors present, their places, and how much of the quota each has delivered."""
+"""The actors of a run: those present, those coming, and what each has delivered."""
 
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Segment
 
-_AWAY = 256
+SILENT_S = 30.0
+_MAX_AWAY = 256
+_MAX_REMEMBERED = 4096
+
+T = TypeVar("T")
 
 
 @dataclass(slots=True)
-class Progress:
+class _Delivered:
     """What one environment has delivered with the newest weights."""
 
     steps: int = 0
@@ -29,11 +34,8 @@ class Member:
     """One actor that has joined.
 
     Attributes:
-        actor: Its name.
         slot: Its place.
-        num_envs: Environments that it steps.
-        heard_s: When it was last heard, on the learner's monotonic clock.
-        progress: Of each of its environments.
+        heard_s: When it was last heard, on the monotonic clock.
         done_s: When its quota was complete, on the same clock.
         status: Its latest own account.
         said: Its latest trouble that was passed on, and the steps that it had dropped by then.
@@ -43,10 +45,10 @@ class Member:
     slot: int
     num_envs: int
     heard_s: float
-    progress: list[Progress] = field(default_factory=list)
     done_s: float = 0.0
     status: ActorStatus | None = None
     said: tuple[str, int] = ("", 0)
+    _delivered: list[_Delivered] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Begin with nothing delivered."""
@@ -54,7 +56,18 @@ class Member:
 
     def begin(self) -> None:
         """Forget what was delivered: new weights are out."""
-        self.progress = [Progress() for _ in range(self.num_envs)]
+        self._delivered = [_Delivered() for _ in range(self.num_envs)]
+
+    def deliver(self, segment: Segment) -> None:
+        """Count a segment that was made with the newest weights."""
+        delivered = self._delivered[segment.env]
+        delivered.steps += segment.num_steps
+        delivered.episodes += segment.ends_episode
+        delivered.at_end = segment.ends_episode
+
+    def has_delivered(self, notice: Notice) -> bool:
+        """Whether every environment has played the quota."""
+        return all(delivered.meets(notice) for delivered in self._delivered)
 
     def is_news(self, status: ActorStatus) -> bool:
         """Whether to pass its trouble on: the first, and each time that twice as much is lost."""
@@ -65,16 +78,16 @@ class Member:
         self.said = status.trouble, status.dropped_steps
         return True
 
-    def deliver(self, segment: Segment) -> None:
-        """Count a segment that was made with the newest weights."""
-        progress = self.progress[segment.env]
-        progress.steps += segment.num_steps
-        progress.episodes += segment.ends_episode
-        progress.at_end = segment.ends_episode
+
+@dataclass(slots=True)
+class _Newcomer:
+    first_s: float
+    heard_s: float
+    doing: str = ""
 
 
-class Roster:
-    """The members of a run. Not thread-safe: its owner has the lock.
+class Members:
+    """The members of a run, and actors that are coming. Not thread-safe: its owner has the lock.
 
     Args:
         seed: Of the run.
@@ -84,40 +97,41 @@ class Roster:
     def __init__(self, seed: int, generation: int) -> None:
         self._seed = seed
         self._generation = generation
-        self._members: dict[str, Member] = {}
+        self._present: dict[str, Member] = {}
         self._away: dict[str, Member] = {}
         self._joins: dict[int, int] = {}
+        self._newcomers: dict[str, _Newcomer] = {}
+        self._dropped: dict[str, int] = {}
+        self._dropped_before = 0
 
     @property
-    def members(self) -> list[Member]:
+    def present(self) -> list[Member]:
         """Those present, by slot."""
-        return sorted(self._members.values(), key=lambda member: member.slot)
+        return sorted(self._present.values(), key=lambda member: member.slot)
 
     @property
     def num_envs(self) -> int:
-        """Environments of all members."""
-        return sum(member.num_envs for member in self._members.values())
+        """Environments of those present."""
+        return sum(member.num_envs for member in self._present.values())
 
     def find(self, actor: str) -> Member | None:
-        """Look a member up."""
-        return self._members.get(actor)
+        """Look up one that is present."""
+        return self._present.get(actor)
 
     def join(self, hello: Hello, now_s: float) -> tuple[Member, int]:
         """Give an actor the place that it asks for, or else the lowest free one.
 
-        One that has a place keeps it.
-
-        One that comes back, because its connection was broken for a while, goes on with what it
-        has delivered.
+        One that has a place keeps it. One that comes back, because its connection was broken for a
+        while, goes on with what it has delivered.
 
         Returns:
             The member, and the seed of its environments and noise: the same for the same seed of
             the run, generation, place, and number of those who had the place before.
         """
         actor, num_envs = hello.actor, hello.num_envs
-        member = self._members.get(actor)
+        member = self._present.get(actor)
         if member is None:
-            taken = {m.slot for m in self._members.values()}
+            taken = {m.slot for m in self._present.values()}
             slot = next(i for i in range(len(taken) + 1) if i not in taken)
             if hello.slot >= 0 and hello.slot not in taken:
                 slot = hello.slot
@@ -125,25 +139,62 @@ class Roster:
             if member is None or member.num_envs != num_envs:
                 member = Member(actor=actor, slot=slot, num_envs=num_envs, heard_s=now_s)
             member.slot, member.heard_s = slot, now_s
-            self._members[actor] = member
+            self._present[actor] = member
+            self._newcomers.pop(actor, None)
             self._joins[slot] = self._joins.get(slot, 0) + 1
         key = (self._seed, self._generation, member.slot, self._joins[member.slot])
         return member, int(np.random.SeedSequence(key).generate_state(1)[0])
 
-    def was_here(self, actor: str) -> bool:
-        """Whether it has left a while ago."""
-        return actor in self._away
-
     def leave(self, actor: str) -> Member | None:
-        """Take a member off the roster, but remember it for a while in case it comes back."""
-        member = self._members.pop(actor, None)
+        """Remove a member or newcomer; a member is remembered in case it comes back."""
+        self._newcomers.pop(actor, None)
+        member = self._present.pop(actor, None)
         if member is not None:
             self._away[actor] = member
-            if len(self._away) > _AWAY:
-                del self._away[next(iter(self._away))]
+            _forget_oldest(self._away, _MAX_AWAY)
         return member
 
     def begin(self) -> None:
         """New weights are out: nobody has delivered anything yet."""
-        for member in (*self._members.values(), *self._away.values()):
+        for member in (*self._present.values(), *self._away.values()):
             member.begin()
+
+    def coming(self, actor: str, now_s: float, doing: str = "") -> None:
+        """Take note of an actor that is making its environments."""
+        known = self._newcomers.setdefault(actor, _Newcomer(first_s=now_s, heard_s=now_s))
+        known.heard_s, known.doing = now_s, doing
+        _forget_oldest(self._newcomers)
+
+    def hear(self, member: Member, status: ActorStatus, now_s: float) -> None:
+        """Remember what a member tells of itself."""
+        member.status, member.heard_s = status, now_s
+        self._dropped[member.actor] = status.dropped_steps
+        self._dropped_before += sum(_forget_oldest(self._dropped))
+
+    def hear_newcomer(self, status: ActorStatus, now_s: float) -> None:
+        """Remember what one tells that is no member, unless it was one a while ago."""
+        if status.leaving:
+            self._newcomers.pop(status.actor, None)
+        elif status.actor not in self._away:
+            self.coming(status.actor, now_s, status.doing)
+
+    @property
+    def dropped_steps(self) -> int:
+        """Steps whose numbers could not be used, as actors told."""
+        return self._dropped_before + sum(self._dropped.values())
+
+    def describe_newcomers(self, now_s: float) -> str:
+        """Say which actors are coming and what the first of them does; "" if there are none."""
+        known = {a: n for a, n in self._newcomers.items() if now_s - n.heard_s < SILENT_S}
+        self._newcomers = known
+        if not known:
+            return ""
+        actor, first = next(iter(known.items()))
+        doing = first.doing or f"making its environments for {now_s - first.first_s:.0f} s"
+        others = f" and {len(known) - 1} more" if len(known) > 1 else ""
+        return f"{actor}{others}: {doing}"
+
+
+def _forget_oldest(known: dict[str, T], limit: int = _MAX_REMEMBERED) -> list[T]:
+    """Keep a dictionary bounded; what was forgotten."""
+    return [known.pop(next(iter(known)))] if len(known) > limit else []

@@ -1,77 +1,142 @@
 """The learner's side of the protocol: every key of the run and what answers it."""
 
+import hashlib
+import threading
 from collections.abc import Callable
 
-from a2s.learner.ingest.ingest import Gather
+from a2s.learner.feed import Arrival, Attendance, Feed
+from a2s.learner.ingest.ingest import Ingest
+from a2s.learner.ingest.store import Store
+from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.codec import decode, encode, refuse_major_1
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import ActorStatus, Hello, RecoveryEvent, RunStatus, Segment
+from a2s.protocol.messages import (
+    ActorStatus,
+    Hello,
+    Notice,
+    RecoveryEvent,
+    RunStatus,
+    Segment,
+    Weights,
+)
 from a2s.protocol.transport import Bus
 
 
-class Service:
-    """Connects a bus to the gathering; :meth:`open` makes the learner visible.
+class Server(Feed):
+    """Connects actors with the ingest, and gives them weights.
 
     Args:
-        bus: The connection.
+        bus: The connection; :meth:`open` makes the learner visible on it.
         keys: Of the run.
-        gather: Judges hellos and segments.
-        status: Makes a status on request.
+        generation: Which start of the learner this is.
+        ingest: Judges hellos and segments.
+        store: Says what is to be played.
+        metrics: Shows what was published.
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, gather: Gather, status: Callable[[], RunStatus]
+        self,
+        bus: Bus,
+        keys: Keys,
+        generation: int,
+        ingest: Ingest,
+        store: Store,
+        metrics: LearnerMetrics,
     ) -> None:
-        self._bus = bus
-        self._keys = keys
-        self._gather = gather
-        self._status = status
+        self._bus, self._keys, self._generation = bus, keys, generation
+        self._ingest, self._store, self._metrics = ingest, store, metrics
+        self._lock = threading.Lock()
+        self._newest = b"", b""  # notice and weights
 
-    def open(self) -> None:
+    def open(self, status: Callable[[], RunStatus]) -> None:
         """Declare everything; the presence comes last, when all else can be answered."""
         bus, keys = self._bus, self._keys
+        bus.answer(keys.notice, lambda _: self._give_newest()[0])
+        bus.answer(keys.weights, lambda _: self._give_newest()[1])
         bus.answer(keys.hello, self._on_hello)
         bus.answer(keys.hello_of_major_1, lambda _: self._on_hello_of_major_1())
         bus.answer(keys.segment, self._on_segment)
-        bus.answer(keys.status, lambda _: encode(self._status()))
+        bus.answer(keys.status, lambda _: encode(status()))
         bus.subscribe(keys.actor_status(), self._on_actor_status)
         bus.watch_presence(keys.live_actor(), self._on_presence)
         bus.declare_presence(keys.live_learner)
+
+    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
+        """Announce weights with what is to be played by them, and keep them for who pulls."""
+        graph = make_graph(version)
+        quota = self._store.quota(self._ingest.num_envs)
+        notice = Notice(
+            generation=self._generation,
+            epoch=epoch,
+            version=version,
+            quota_steps=quota.steps,
+            quota_episodes=quota.episodes,
+            num_bytes=len(graph),
+            sha256=hashlib.sha256(graph).hexdigest(),
+        )
+        newest = encode(notice), encode(Weights(notice=notice, graph=graph))
+        self._ingest.begin(notice, quota.batch_steps)  # before anybody can play by them
+        with self._lock:
+            self._newest = newest
+        self._bus.publish(self._keys.notice, newest[0])
+        self._metrics.weights_bytes.set(len(graph))
 
     def announce_recovery(self, event: RecoveryEvent) -> None:
         """Tell everybody who listens that the learner went back."""
         self._bus.publish(self._keys.recovery, encode(event))
 
+    def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
+        """Wait until the next batch is stored."""
+        return self._ingest.next_batch(proceed)
+
+    def stop(self) -> list[Arrival]:
+        """Hear no more, and take what came too late to be a batch."""
+        self._bus.close()
+        return self._ingest.take()
+
+    def attendance(self) -> Attendance:
+        """Take a look at the actors."""
+        return self._ingest.attendance()
+
+    def close(self) -> None:
+        """End the connection, then close the ledger."""
+        self._bus.close()
+        self._ingest.close()
+
+    def _give_newest(self) -> tuple[bytes, bytes]:
+        with self._lock:
+            return self._newest
+
     def _on_hello(self, payload: bytes) -> bytes:
         try:
             hello = decode(payload, Hello)
         except MalformedMessageError as error:
-            return encode(self._gather.refuse("hello", _cause(error), str(error)))
-        return encode(self._gather.hello(hello))
+            return encode(self._ingest.refuse("hello", _cause(error), str(error)))
+        return encode(self._ingest.hello(hello))
 
     def _on_hello_of_major_1(self) -> bytes:
-        self._gather.refuse("hello", "schema", "an actor of protocol 1")
+        self._ingest.refuse("hello", "schema", "an actor of protocol 1")
         return refuse_major_1()
 
     def _on_segment(self, payload: bytes) -> bytes:
         try:
             segment = decode(payload, Segment)
         except MalformedMessageError as error:
-            return encode(self._gather.refuse_segment(_cause(error), str(error)))
-        return encode(self._gather.segment(segment))
+            return encode(self._ingest.refuse_segment(_cause(error), str(error)))
+        return encode(self._ingest.segment(segment))
 
     def _on_actor_status(self, payload: bytes) -> None:
         try:
             status = decode(payload, ActorStatus)
         except MalformedMessageError as error:
-            self._gather.refuse("status", _cause(error), str(error))
+            self._ingest.refuse("status", _cause(error), str(error))
             return
-        self._gather.status(status)
+        self._ingest.status(status)
 
     def _on_presence(self, key: str, present: bool) -> None:
         if not present:
-            self._gather.gone(key.rsplit("/", 1)[-1])
+            self._ingest.gone(key.rsplit("/", 1)[-1])
 
 
 def _cause(error: MalformedMessageError) -> str:

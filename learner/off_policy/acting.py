@@ -84,14 +84,14 @@ class OffPolicySuggester:
             suggestion = torch.erf(normal[:, 0] * math.sqrt(0.5))
             log_prob = torch.full_like(q_spread, -math.log(2.0) * suggestion.shape[1])
             return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
-        seen = self.normaliser(obs)
-        output = run(self.policy.form.layers, self.policy.exact, seen.unsqueeze(0))
+        norm_obs = self.normaliser(obs)
+        output = run(self.policy.form.layers, self.policy.exact, norm_obs.unsqueeze(0))
         policy = gaussian(output[0])
         u = draw_several(policy, normal)
         log_prob = log_density(normal, policy.log_std.unsqueeze(1), u)
         if self.mode == "first":
             return self._choice(u.squeeze(1), log_prob.squeeze(1), q_spread)
-        score = self.score(seen, u.tanh())
+        score = self.score(norm_obs, u.tanh())
         q_spread = score.amax(1) - score.mean(1)
         if self.mode == "soft":
             if gumbel is None:
@@ -107,14 +107,14 @@ class OffPolicySuggester:
         suggestion = u.tanh()
         return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
 
-    def score(self, seen: Tensor, action: Tensor) -> Tensor:
+    def score(self, norm_obs: Tensor, action: Tensor) -> Tensor:
         """Means of the critics, in returns, of normalised and canonical: ``[B, K]``.
 
         Args:
-            seen: ``[B, D]``.
+            norm_obs: ``[B, D]``.
             action: ``[B, K, A]``.
         """
         critics = self.critics
         shared = action.expand(critics.members, *action.shape)
-        q_value = score_many(critics.form, critics.exact, seen, shared) * self.return_size
+        q_value = score_many(critics.form, critics.exact, norm_obs, shared) * self.return_size
         return q_value.mean(0)

@@ -14,7 +14,9 @@ Selection = Literal["hard", "soft"]
 Network = Literal["mlp", "residual", "trunk"]
 Precision = Literal["fastest", "f32", "bf16"]
 OffPolicyLoss = Literal["pathwise", "score"]
-Selector = Literal["one", "mean"]
+
+_SAC_PAPER = "SAC (Haarnoja et al. 2018), table 1"
+_CROSSQ_PAPER = "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +31,7 @@ class OffPolicyConfig(Settings):
 
     act_suggestions: int = setting(
         10,
-        "K_act, actions among which Q picks what is executed, at least 1",
+        "K_act, actions among which Q picks the executed one",
         "paper, table 3",
         low=1,
         high=1024,
@@ -41,29 +43,16 @@ class OffPolicyConfig(Settings):
     )
     target_suggestions: int = setting(
         1,
-        "K_target, suggestions of each group in the next state, equation 7",
+        "K_target of equation 7, suggestions of each group",
         "4 cost a quarter and gained nothing; docs/adr/0008",
         low=1,
         high=1024,
     )
     target_groups: int = setting(
-        1,
-        "N, groups over which equation 8 takes its mean",
-        "a batch is a mean already",
-        low=1,
-        high=1024,
-    )
-    selector: Selector = setting(
-        "one",
-        "Who picks in the update: ``one`` online critic, drawn anew, or the ``mean`` of all",
-        "the maximum of what also evaluates is biased upwards",
+        1, "N of equation 8, groups averaged", "a batch is a mean already", low=1, high=1024
     )
     num_critics: int = setting(
-        2,
-        "Q networks; the minimum of their targets evaluates",
-        "TD3 (Fujimoto et al. 2018)",
-        low=1,
-        high=64,
+        2, "Q networks; the least target evaluates", "TD3 (Fujimoto et al. 2018)", low=1, high=64
     )
     num_quantiles: int = setting(
         25,
@@ -92,12 +81,10 @@ class OffPolicyConfig(Settings):
         "SimBa (Lee et al. 2024); docs/adr/0009",
     )
     critic_sizes: tuple[int, ...] = setting(
-        (256, 256),
-        "Units of the hidden layers of each critic",
-        "SAC (Haarnoja et al. 2018), table 1",
+        (256, 256), "Units of the hidden layers of each critic", _SAC_PAPER
     )
     policy_sizes: tuple[int, ...] = setting(
-        (256, 256), "Units of the policy's hidden layers", "SAC (Haarnoja et al. 2018), table 1"
+        (256, 256), "Units of the policy's hidden layers", _SAC_PAPER
     )
     layer_norm: bool = setting(
         True,
@@ -108,11 +95,6 @@ class OffPolicyConfig(Settings):
         True,
         "Observations are shifted and scaled by their running mean and standard deviation",
         "SimBa (Lee et al. 2024)",
-    )
-    quiet_rare_obs: bool = setting(
-        True,
-        "Normalised ones are scaled further, by the share of steps in which they are not 0",
-        "contact forces drown the rest; docs/adr/0016",
     )
     norm_return: bool = setting(
         True,
@@ -126,20 +108,13 @@ class OffPolicyConfig(Settings):
     )
     policy_loss: OffPolicyLoss = setting(
         "pathwise",
-        "``pathwise``: along the gradient of Q; ``score``: log-density times advantage",
-        "SAC (Haarnoja et al. 2018), table 1",
-    )
-    distil_suggestions: int = setting(
-        4,
-        "K_distil, fresh suggestions per observation for the loss ``score``",
-        "where policy_loss is score",
-        low=1,
-        high=1024,
+        "``pathwise``: the gradient of Q; ``score``: log-density times advantage over K_act",
+        _SAC_PAPER,
     )
     entropy_per_action: float = setting(
         -1.0,
         "Wanted entropy of the policy per action dimension, nats",
-        "SAC (Haarnoja et al. 2018), table 1",
+        _SAC_PAPER,
         low=-1000,
         high=1000,
     )
@@ -147,14 +122,14 @@ class OffPolicyConfig(Settings):
         0.01,
         "Weight of the entropy at first",
         "SimbaV2 (Lee et al. 2025); docs/adr/0012",
-        low=0e0,
+        low=0.0,
         high=1e6,
     )
     temperature_learning_rate: float = setting(
         0.0003,
         "Of Adam on the logarithm of the temperature; 0: it stays as it is",
         "SAC; 1e-3 explores too little; docs/adr/0014",
-        low=0e0,
+        low=0.0,
         high=1000,
     )
     average_updates: int = setting(
@@ -165,7 +140,7 @@ class OffPolicyConfig(Settings):
     )
     gamma: float = setting(
         0.995,
-        "Discount per step, above 0 and at most 1",
+        "Discount per step",
         "at 0.99 a fall costs too little; docs/adr/0015",
         low=1e-6,
         high=1,
@@ -180,50 +155,30 @@ class OffPolicyConfig(Settings):
     n_step: int = setting(
         1,
         "Rewards of so many steps are summed before the critics take over",
-        "SAC (Haarnoja et al. 2018), table 1",
+        _SAC_PAPER,
         low=1,
         high=1024,
     )
     batch_rows: int = setting(
-        256,
-        "Rows of the replay in one update",
-        "SAC (Haarnoja et al. 2018), table 1",
-        low=1,
-        high=1048576,
+        256, "Rows of the replay in one update", _SAC_PAPER, low=1, high=2**20
     )
     utd_ratio: float = setting(
-        1.0,
-        "Updates for each environment step",
-        "SAC (Haarnoja et al. 2018), table 1",
-        low=1e-6,
-        high=1000,
+        1.0, "Updates for each environment step", _SAC_PAPER, low=1e-6, high=1000
     )
     learning_rate: float = setting(
-        0.001,
-        "Of Adam on the policy",
-        "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008",
-        low=1e-12,
-        high=1000,
+        0.001, "Of Adam on the policy", _CROSSQ_PAPER, low=1e-12, high=1000
     )
     critic_learning_rate: float = setting(
-        0.001,
-        "Of Adam on the critics",
-        "CrossQ (Bhatt et al. 2024): normalised critics bear it; docs/adr/0008",
-        low=1e-12,
-        high=1000,
+        0.001, "Of Adam on the critics", _CROSSQ_PAPER, low=1e-12, high=1000
     )
     warm_up_steps: int = setting(
         5000,
-        "Environment steps with uniform random actions, before the first update",
+        "Steps of uniform random actions before the first update",
         "CleanRL; REDQ (Chen et al. 2021)",
         low=1,
     )
     replay_rows: int = setting(
-        1000000,
-        "Steps that the replay keeps; the oldest go first",
-        "SAC (Haarnoja et al. 2018), table 1",
-        low=1,
-        high=1000000000,
+        1_000_000, "Steps that the replay keeps; the oldest go first", _SAC_PAPER, low=1, high=10**9
     )
     prioritised: bool = setting(
         False,
@@ -231,18 +186,10 @@ class OffPolicyConfig(Settings):
         "large errors of a maximum are its optimism too",
     )
     priority_exponent: float = setting(
-        0.6,
-        "Alpha: priorities are the errors to this power, 0..1",
-        "Schaul et al. 2016, table 3",
-        low=0e0,
-        high=1,
+        0.6, "Alpha, power of the errors", "Schaul et al. 2016, table 3", low=0.0, high=1
     )
     importance_exponent: float = setting(
-        0.4,
-        "Beta: weights undo the priorities to this power, 0..1",
-        "Schaul et al. 2016, table 3",
-        low=0e0,
-        high=1,
+        0.4, "Beta, power of the weights", "Schaul et al. 2016, table 3", low=0.0, high=1
     )
     send_every_steps: int = setting(
         8,
@@ -273,8 +220,6 @@ class OffPolicyConfig(Settings):
                 refuse("initial_temperature", 0.0, "above 0 with selection soft")
         if self.network == "trunk" and len(self.critic_sizes) < 2:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
-        if self.policy_loss == "score" and self.distil_suggestions == 1:
-            refuse("distil_suggestions", 1, "at least 2 with policy_loss score")
 
 
 class Preset(NamedTuple):
@@ -304,7 +249,6 @@ _PAPER = replace(
     selection="hard",  # paper, algorithm 2
     target_suggestions=10,  # paper, table 3
     target_groups=3,  # paper, section 4.2: low; the authors' code has 1 to 3
-    selector="mean",  # there is one critic
     num_critics=1,  # paper, algorithm 2
     num_quantiles=1,  # paper, algorithm 2
     quantiles_to_drop=0,  # not used here
@@ -313,11 +257,9 @@ _PAPER = replace(
     critic_sizes=(128, 64),  # paper, section 5
     policy_sizes=(64, 64),  # paper, section 5
     norm_obs=False,  # authors' code
-    quiet_rare_obs=False,  # not used here
     norm_return=False,  # paper, algorithm 2
     precision="f32",  # networks too small to gain
     policy_loss="score",  # paper, algorithm 2
-    distil_suggestions=10,  # V is the mean of Q over K suggestions
     initial_temperature=0.0,  # paper, algorithm 2
     temperature_learning_rate=0.0,  # paper, algorithm 2
     average_updates=0,  # paper, algorithm 2

@@ -32,7 +32,7 @@ def draw_noise(
 ) -> Noise:
     """Draw the noise of an update of B = ``rows`` rows."""
     groups = hyper.target_groups
-    several = hyper.distil_suggestions if hyper.policy_loss == "score" else 0
+    several = max(2, hyper.act_suggestions) if hyper.policy_loss == "score" else 0
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(shape, generator=generator)

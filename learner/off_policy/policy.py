@@ -33,7 +33,7 @@ def advantage_over_others(q_value: Tensor) -> Tensor:
 
 
 def pathwise(
-    policy: Gaussian, drawn: Drawn, q_value: Tensor, by_action: Tensor, temperature: Tensor
+    policy: Gaussian, drawn: Drawn, q_value: Tensor, action_grad: Tensor, temperature: Tensor
 ) -> PolicyStep:
     """Move the one suggestion of every state along the gradient of Q: SAC's loss.
 
@@ -41,13 +41,13 @@ def pathwise(
         policy: Of the states.
         drawn: The suggestions.
         q_value: Their values, ``[B]``.
-        by_action: Gradient of the sum of the values by the suggestions, ``[B, A]``.
+        action_grad: Gradient of the sum of the values by the suggestions, ``[B, A]``.
         temperature: Weight of the entropy, ``[]``.
     """
     action, rows = drawn.action, len(drawn.action)
     share = temperature / rows
-    by_u = 2.0 * share * action - by_action * ((1.0 - action.square()) / rows)
-    grad = torch.cat([by_u, (by_u * drawn.noise - share) * policy.free], dim=-1)
+    u_grad = 2.0 * share * action - action_grad * ((1.0 - action.square()) / rows)
+    grad = torch.cat([u_grad, (u_grad * drawn.noise - share) * policy.free], dim=-1)
     return PolicyStep((temperature * drawn.log_prob - q_value).mean(), grad)
 
 
@@ -65,7 +65,7 @@ def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor
     log_prob = log_density(normal, log_std, policy.mean.unsqueeze(1) + std * normal)
     advantage = advantage_over_others(q_value - temperature * log_prob)
     pull = (advantage / advantage.numel()).unsqueeze(-1)
-    by_mean = -(pull * normal / std).sum(1)
-    by_log_std = -(pull * (normal.square() - 1.0)).sum(1) * policy.free
-    grad = torch.cat([by_mean, by_log_std], dim=-1)
+    mean_grad = -(pull * normal / std).sum(1)
+    log_std_grad = -(pull * (normal.square() - 1.0)).sum(1) * policy.free
+    grad = torch.cat([mean_grad, log_std_grad], dim=-1)
     return PolicyStep(-(advantage * log_prob).mean(), grad)

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 _SAMPLES = 50
-_LEAST = torch.finfo(torch.float32).tiny
+_MIN = torch.finfo(torch.float32).tiny
 
 
 class ReturnSize:
@@ -38,7 +38,7 @@ class ReturnSize:
     def __call__(self) -> Tensor:
         """The size, ``[]``, above 0: 1 where nothing was ever paid."""
         size = torch.where(self.mean_square > 0, self.mean_square.sqrt(), 1.0)
-        return size.clamp(min=_LEAST).to(torch.get_default_dtype())
+        return size.clamp(min=_MIN).to(torch.get_default_dtype())
 
     def tensors(self) -> dict[str, Tensor]:
         """All that changes, not copied."""

@@ -12,7 +12,7 @@ from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.return_size import ReturnSize
 
 
-class OffPolicyLearned:
+class TrainState:
     """Networks, their optimisers, the temperature and the normalisers.
 
     Args:
@@ -52,9 +52,7 @@ class OffPolicyLearned:
             first = form.draw(members, generator).to(device)
             return Ensemble(form, first, bf16=hyper.precision == "bf16")
 
-        self.normaliser = Normaliser(
-            obs_size, enabled=hyper.norm_obs, quiets_rare=hyper.quiet_rare_obs
-        ).to(device)
+        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs, quiets_rare=True).to(device)
         self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
         joined = obs_size + action_size
@@ -74,7 +72,7 @@ class OffPolicyLearned:
             "temperature": Adam(self.log_temperature),
         }
 
-    def follow(self) -> None:
+    def update_average(self) -> None:
         """Move the average towards the policy.
 
         It reaches back over a tenth of the updates so far, so that the first ones do not last.

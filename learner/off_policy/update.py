@@ -29,7 +29,7 @@ from a2s.learner.off_policy.squashed import (
     draw_several,
     gaussian,
 )
-from a2s.learner.off_policy.state import OffPolicyLearned
+from a2s.learner.off_policy.state import TrainState
 from a2s.learner.off_policy.targets import backup, evaluate, pick_best
 from a2s.learner.off_policy.transitions import Transitions
 
@@ -93,17 +93,17 @@ class OffPolicy:
         root = torch.Generator().manual_seed(seed)
         networks, noise = torch.randint(2**62, (2,), generator=root).tolist()
         first = torch.Generator().manual_seed(networks)
-        self.learned = OffPolicyLearned(obs_size, action_size, hyper, first, self.device)
+        self.train_state = TrainState(obs_size, action_size, hyper, first, self.device)
         self._noise = torch.Generator().manual_seed(noise)
         self._wanted_entropy = hyper.entropy_per_action * action_size
 
     def observe(self, obs: Tensor) -> None:
         """Take new observations, float32 ``[N, D]``, into account: each once, when it arrives."""
-        self.learned.normaliser.update(obs.to(self.device))
+        self.train_state.normaliser.update(obs.to(self.device))
 
     def observe_returns(self, returns: Tensor) -> None:
         """Take discounted returns of rows of the replay, float32 ``[N]``, into account."""
-        self.learned.return_size.observe(returns.to(self.device))
+        self.train_state.return_size.observe(returns.to(self.device))
 
     def draw_noise(self, rows: int) -> Noise:
         """Draw what an update of so many rows needs: on the CPU, to be the same everywhere."""
@@ -126,18 +126,18 @@ class OffPolicy:
             warms_up: Act at random: nothing is learned yet.
             averaged: By the average of the policy over time, to be kept and used.
         """
-        return_size = self.learned.return_size()
+        return_size = self.train_state.return_size()
         picks = self.hyper.act_suggestions > 1 and not warms_up
         unjudged: OffPolicySuggesterMode = "uniform" if warms_up else "first"
         return OffPolicySuggester(
-            normaliser=self.learned.normaliser,
-            policy=self.learned.average if averaged else self.learned.policy,
-            critics=self.learned.critics,
+            normaliser=self.train_state.normaliser,
+            policy=self.train_state.average if averaged else self.train_state.policy,
+            critics=self.train_state.critics,
             action_low=action_low,
             action_high=action_high,
             mode=self.hyper.selection if picks else unjudged,
             suggestions=self.hyper.act_suggestions if picks else 1,
-            temperature=self.learned.log_temperature.exp() * return_size,
+            temperature=self.train_state.log_temperature.exp() * return_size,
             return_size=return_size,
         )
 
@@ -151,41 +151,41 @@ class OffPolicy:
         """
         if noise is None:
             noise = self.draw_noise(len(batch.obs))
-        learned = self.learned
-        return_size = learned.return_size()
+        state = self.train_state
+        return_size = state.return_size()
         batch = batch._replace(reward=batch.reward / return_size)
-        obs, next_obs = learned.normaliser(torch.stack((batch.obs, batch.next_obs)))
-        output, tape = learned.policy.trace(obs)
+        obs, next_obs = state.normaliser(torch.stack((batch.obs, batch.next_obs)))
+        output, tape = state.policy.trace(obs)
         policy = gaussian(output[0])
         drawn = draw(policy, noise.suggestion)
-        temperature = learned.log_temperature.exp()
+        temperature = state.log_temperature.exp()
         self._learn_temperature(drawn.log_prob)
         target = self._target(batch, next_obs, noise, temperature)
         fit, q_mean = self._learn_critics(obs, batch, target)
         moved = self._policy_step(obs, policy, drawn, noise, temperature)
-        learned.policy.differentiate(tape, moved.grad.unsqueeze(0))
-        learned.adam["policy"].step(learned.policy.grad, self.hyper.learning_rate)
-        learned.policy.refresh()
-        learned.follow()
-        learned.targets.value.lerp_(learned.critics.value, self.hyper.tau)
-        learned.targets.refresh()
+        state.policy.differentiate(tape, moved.grad.unsqueeze(0))
+        state.adam["policy"].step(state.policy.grad, self.hyper.learning_rate)
+        state.policy.refresh()
+        state.update_average()
+        state.targets.value.lerp_(state.critics.value, self.hyper.tau)
+        state.targets.refresh()
         return OffPolicyStats(
             q_loss=fit.loss,
             policy_loss=moved.loss,
             q_mean=q_mean * return_size,
             target_mean=target.mean() * return_size,
             entropy=-drawn.log_prob.mean(),
-            temperature=learned.log_temperature.exp() * return_size,
+            temperature=state.log_temperature.exp() * return_size,
             error=fit.error * return_size,
         )
 
     def is_finite(self) -> bool:
         """Whether every parameter is a number; waits for the device."""
-        return self.learned.is_finite()
+        return self.train_state.is_finite()
 
     def state(self) -> dict[str, Tensor]:
         """Copies of everything that `load` needs to go on to the bit."""
-        tensors = {name: tensor.clone() for name, tensor in self.learned.tensors().items()}
+        tensors = {name: tensor.clone() for name, tensor in self.train_state.tensors().items()}
         return tensors | {"generator.noise": self._noise.get_state()}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
@@ -195,7 +195,7 @@ class OffPolicy:
             RunDirectoryError: A tensor is missing or has another shape.
         """
         check_tensors(tensors, self.state())
-        self.learned.load(tensors)
+        self.train_state.load(tensors)
         self._noise.set_state(tensors["generator.noise"])
 
     def _learn_temperature(self, log_prob: Tensor) -> None:
@@ -203,14 +203,14 @@ class OffPolicy:
 
         Source: Haarnoja et al. 2018, equation 18, for the logarithm of the temperature.
         """
-        if self.learned.learns_temperature:
+        if self.train_state.learns_temperature:
             grad = -(log_prob.mean() + self._wanted_entropy)
-            self.learned.adam["temperature"].step(grad, self.hyper.temperature_learning_rate)
+            self.train_state.adam["temperature"].step(grad, self.hyper.temperature_learning_rate)
 
     def _target(self, batch: Transitions, obs: Tensor, noise: Noise, temperature: Tensor) -> Tensor:
         """Targets of equation 8, ``[B, M']``."""
-        learned, hyper = self.learned, self.hyper
-        policy = gaussian(learned.policy(obs)[0])
+        state, hyper = self.train_state, self.hyper
+        policy = gaussian(state.policy(obs)[0])
         normal = noise.target
         u = draw_several(policy, normal)
         if hyper.target_suggestions > 1:
@@ -220,7 +220,7 @@ class OffPolicy:
             u, normal = u.squeeze(2), normal.squeeze(2)
         groups = len(u)
         joined = torch.cat([obs.expand(groups, -1, -1), u.tanh()], dim=-1)
-        value = learned.targets(joined.flatten(0, 1))
+        value = state.targets(joined.flatten(0, 1))
         value = value.view(len(value), groups, len(obs), -1)
         return backup(
             batch.reward,
@@ -235,14 +235,14 @@ class OffPolicy:
         self, obs: Tensor, batch: Transitions, target: Tensor
     ) -> tuple[CriticLoss, Tensor]:
         """Regress every critic to the targets; also returns the mean value."""
-        critics = self.learned.critics
+        critics = self.train_state.critics
         q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
         if self.hyper.num_quantiles == 1:
             fit = squared_loss(q_value, target, batch.weight)
         else:
             fit = quantile_loss(q_value, target, batch.weight, self.hyper.kappa)
         critics.differentiate(tape, fit.grad)
-        self.learned.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
+        self.train_state.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
         return fit, q_value.mean()
 
@@ -254,15 +254,15 @@ class OffPolicy:
             several = draw_several(policy, noise.distil).tanh()
             q_value = self._select(obs, several[None], noise.critic[-1:])[0]
             return score(policy, noise.distil, q_value, temperature)
-        value, by_action = self._value_of(obs, drawn.action)
-        return pathwise(policy, drawn, value, by_action, temperature)
+        value, action_grad = self._value_of(obs, drawn.action)
+        return pathwise(policy, drawn, value, action_grad, temperature)
 
     def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.
 
         Plain critics: their minimum, as in SAC; quantile critics: their mean, as in TQC.
         """
-        critics = self.learned.critics
+        critics = self.train_state.critics
         q_value, tape = critics.trace(torch.cat([obs, action], dim=-1))
         if self.hyper.num_quantiles > 1:
             grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.num_quantiles))
@@ -274,16 +274,12 @@ class OffPolicy:
         return value, critics.by_input(tape, grad, self.obs_size).sum(0)
 
     def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
-        """Scores by whoever selects, of ``[N, B, K, A]``: ``[N, B, K]``.
+        """Scores by one critic a group, of ``[N, B, K, A]``: ``[N, B, K]``.
 
         Args:
             obs: Normalised, ``[B, D]``.
             action: Suggestions in N groups.
             critic: Number of a critic for each group, ``[N]``.
         """
-        form, critics = self.learned.critics.form, self.learned.critics
-        if self.hyper.selector == "one":
-            return score_many(form, critics.weights.pick(critic), obs, action)
-        shared = action.transpose(0, 1).flatten(1, 2).expand(critics.members, -1, -1, -1)
-        value = critics.score(obs, shared).mean(0)
-        return value.view(len(obs), len(action), -1).transpose(0, 1)
+        critics = self.train_state.critics
+        return score_many(critics.form, critics.weights.pick(critic), obs, action)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from a2s.learner.replay import description
-from a2s.learner.replay.columns import Columns
-from a2s.learner.replay.record import STARTS, TERMINATED, TRUNCATED, Record
-from a2s.learner.replay.store import Store
+from a2s.learner.replay.files import describe
+from a2s.learner.replay.index import STARTS, TERMINATED, TRUNCATED, Record
+from a2s.learner.replay.recovery import Recovery
+from a2s.learner.replay.ring import Columns
 from a2s.protocol.fields import Array
 
 
@@ -32,19 +32,13 @@ class Episode:
 
 
 class StoredEpisodes:
-    """The episodes of a replay directory, also while a learner writes to it.
+    """The whole episodes of a replay directory, in order of their ends.
 
-    Use::
-
-        episodes = StoredEpisodes(path)
-        for episode in episodes: ...
-
-    Args:
-        path: The directory.
+    A learner may write to the directory meanwhile.
 
     Attributes:
         about: Environment and capacity.
-        left_out: Episodes seen so far of which not all steps are there: the first ones are
+        left_out: Episodes met so far of which not all steps are there: the first ones are
             evicted, some were lost, or it is not over yet.
 
     Raises:
@@ -52,15 +46,14 @@ class StoredEpisodes:
     """
 
     def __init__(self, path: Path) -> None:
-        self.about = description.read(path)
-        self._ring, _, self._records = Store(path, self.about, writable=False).restore()
+        self.about = describe(path)
+        self._found = Recovery(path, self.about)
         self.left_out = 0
 
     def __iter__(self) -> Iterator[Episode]:
-        """Yield whole episodes, by their ends."""
         self.left_out = 0
         begun: dict[tuple[str, int], list[Record]] = {}
-        for record in self._records:
+        for record in self._found.live:
             stream = (record.actor, record.env)
             known = begun.pop(stream, [])
             if known and not _may_follow(known[-1], record):
@@ -80,16 +73,14 @@ class StoredEpisodes:
     def _is_whole(self, records: list[Record]) -> bool:
         first = records[0]
         linked = all(b.previous == a.end - 1 for a, b in pairwise(records))
-        return bool(first.flags & STARTS) and first.row >= self._ring.begin and linked
+        return bool(first.flags & STARTS) and first.row >= self._found.ring.begin and linked
 
     def _join(self, records: list[Record]) -> Episode | None:
         """Put the rows of an episode together, unless some were overwritten meanwhile."""
         pieces = []
         for record in records:
-            rows = self._ring.stretch(record.row, record.steps)
-            piece = Columns(
-                rows.obs.copy(), rows.action.copy(), rows.next_obs.copy(), rows.outcome.copy()
-            )
+            rows = self._found.ring.stretch(record.row, record.steps)
+            piece = Columns(*(column.copy() for column in rows))
             if piece.checksum() != record.rows_hash:
                 return None
             pieces.append(piece)
@@ -102,6 +93,6 @@ class StoredEpisodes:
 
 
 def _may_follow(last: Record, record: Record) -> bool:
-    """Whether a record can be of the same episode as the one before of its stream."""
+    """Whether two records of one stream can be of the same episode."""
     before = record.episode_length - record.steps
     return record.previous == last.end - 1 or before > last.episode_length

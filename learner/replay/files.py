@@ -1,61 +1,206 @@
-"""Arrays in files: their room is taken when they are made, so that a full disk is noticed then."""
+"""The files of a replay directory: ``replay.json``, mapped arrays, and the lock.
 
-import mmap
+``replay.json`` names the files that count, and is replaced in one step: a kill leaves a directory
+of the old capacity or of the new one.
+"""
+
+import fcntl
+import json
+import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.fields import Array
+from a2s.learner.replay.index import Index
+from a2s.learner.replay.ring import make_columns
+from a2s.learner.run.directory import write_atomically
+from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
+from a2s.protocol.fields import Array, Spaces
 
-_ITEM_BYTES = 4
+NAME = "replay.json"
+_FORMAT = 2
+
+FloatMap = np.memmap[tuple[int, ...], np.dtype[np.float32]]
 
 
-class MappedArray:
-    """A float32 array that lies in a file; what is written to it survives this process.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Description:
+    """The contents of ``replay.json``; ``files`` is the number in the names of the other files."""
 
-    Args:
-        path: The file.
-        shape: Of the array.
-        new: Make the file, all zeros, with all its room.
-        writable: Whether it may be written to.
+    env_id: str
+    spaces: Spaces
+    capacity: int
+    files: int
 
-    Attributes:
-        array: float32 of that shape.
+    def write(self, path: Path) -> None:
+        """Write it into a directory."""
+        offset = self.spaces.obs_offset
+        document = {
+            "format": _FORMAT,
+            "env_id": self.env_id,
+            "obs_size": self.spaces.obs_size,
+            "action_low": self.spaces.action_low.tolist(),
+            "action_high": self.spaces.action_high.tolist(),
+            "obs_offset": None if offset is None else offset.tolist(),
+            "capacity": self.capacity,
+            "files": self.files,
+        }
+        write_atomically(path / NAME, json.dumps(document, indent=2).encode())
+
+    def require(self, path: Path, env_id: str, spaces: Spaces) -> None:
+        """Raise RunDirectoryError if the transitions are of another environment."""
+        advice = "name another run directory"
+        if self.env_id != env_id:
+            raise RunDirectoryError(
+                f"replay {path}: found environment {self.env_id}, expected {env_id}; {advice}"
+            )
+        difference = spaces.differs_from(self.spaces)
+        if difference:
+            raise RunDirectoryError(f"replay {path}: found {difference}; {advice}")
+
+
+def describe(path: Path) -> Description:
+    """Read the description of a replay directory.
 
     Raises:
-        RunDirectoryError: There is no room, or the file is missing or of another size.
+        RunDirectoryError: There is none, or it is of another format.
+    """
+    try:
+        document = json.loads((path / NAME).read_bytes())
+        if document["format"] != _FORMAT:
+            raise RunDirectoryError(
+                f"replay {path}: found format {document['format']}, expected {_FORMAT}"
+            )
+        offset = document.get("obs_offset")
+        return Description(
+            env_id=str(document["env_id"]),
+            spaces=Spaces(
+                obs_size=int(document["obs_size"]),
+                action_low=np.array(document["action_low"], np.float32),
+                action_high=np.array(document["action_high"], np.float32),
+                obs_offset=None if offset is None else np.array(offset, np.float32),
+            ),
+            capacity=int(document["capacity"]),
+            files=int(document["files"]),
+        )
+    except FileNotFoundError:
+        raise RunDirectoryError(f"{path}: holds no replay, it has no {NAME}") from None
+    except (OSError, ValueError, KeyError, TypeError, MalformedMessageError) as error:
+        raise RunDirectoryError(f"replay {path}: {NAME} is damaged ({error})") from None
+
+
+class Files:
+    """The open files of a replay; what is written to them survives this process.
+
+    With ``new`` they are made, all zeros, with all their room, so that a full disk is noticed now;
+    they count once ``replay.json`` names them.
+
+    Attributes:
+        slots: The transitions.
+        priority: One number a slot, float32 ``[S]``.
+        index_path: The file of records.
+        index: The same, once it is opened for appending.
+        lock_file: What `locked` gave, to be closed with the files; -1 without.
+
+    Raises:
+        RunDirectoryError: There is no room for a file, or it is missing or of another size.
     """
 
     def __init__(
-        self, path: Path, shape: tuple[int, ...], *, new: bool = False, writable: bool = True
+        self, path: Path, about: Description, *, writable: bool, new: bool = False
     ) -> None:
-        expected = int(np.prod(shape)) * _ITEM_BYTES
-        flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_CLOEXEC
+        self._path = path
+        self._number = about.files
+        self._maps: list[FloatMap] = []
+        self.index_path = path / f"index-{about.files}.log"
+        self.index: Index | None = None
+        self.lock_file = -1
+
+        def make(name: str, shape: tuple[int, ...]) -> Array:
+            file = path / f"{name}-{about.files}.f32"
+            self._maps.append(_map(file, shape, new=new, writable=writable))
+            return np.asarray(self._maps[-1])  # a plain array is read faster than a map
+
+        if new:
+            self.delete()  # left by a process that was killed here
         try:
-            file = os.open(path, flags | (os.O_CREAT | os.O_EXCL if new else 0), 0o644)
-            try:
-                if new:
-                    os.posix_fallocate(file, 0, expected)
-                found = os.fstat(file).st_size
-                if found != expected:
-                    raise RunDirectoryError(
-                        f"{path}: found {found} bytes, expected {expected}; the file is damaged, "
-                        "move the directory away to begin another"
-                    )
-                access = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
-                self._map = mmap.mmap(file, expected, flags=mmap.MAP_SHARED, prot=access)
-            finally:
-                os.close(file)
-        except OSError as error:
+            self.slots = make_columns(about.spaces, about.capacity, make)
+            self.priority = make("priority", (len(self.slots.outcome),))
+        except RunDirectoryError:
             if new:
-                path.unlink(missing_ok=True)
-            raise RunDirectoryError(
-                f"{path}: {error.strerror}, {expected / 2**20:.0f} MiB are needed"
-            ) from None
-        self.array: Array = np.frombuffer(self._map, np.float32).reshape(shape)
+                self.delete()
+            raise
 
     def flush(self) -> None:
-        """Write everything to the disk, for the case that the machine dies."""
-        self._map.flush()
+        """Write what was opened for writing to the disk, in case the machine dies."""
+        if self.index is not None:
+            for mapped in self._maps:
+                mapped.flush()
+            self.index.flush()
+
+    def close(self) -> None:
+        """Close the index and give up the lock; the arrays can still be read."""
+        if self.index is not None:
+            self.index.close()
+            self.index = None
+        if self.lock_file >= 0:
+            os.close(self.lock_file)
+            self.lock_file = -1
+
+    def delete(self) -> None:
+        """Delete the files."""
+        for file in self._path.glob(f"*-{self._number}.*"):
+            file.unlink()
+
+
+def _map(path: Path, shape: tuple[int, ...], *, new: bool, writable: bool) -> FloatMap:
+    expected = 4 * math.prod(shape)
+    try:
+        if new:
+            with path.open("xb") as file:
+                os.posix_fallocate(file.fileno(), 0, expected)
+        found = path.stat().st_size
+        if found != expected:
+            raise RunDirectoryError(
+                f"{path}: found {found} bytes, expected {expected}; the file is damaged, "
+                "move the directory away to begin another"
+            )
+        return np.memmap(path, np.float32, "r+" if writable else "r", shape=shape)
+    except OSError as error:
+        raise RunDirectoryError(
+            f"{path}: {error.strerror}, {expected / 2**20:.0f} MiB are needed"
+        ) from None
+
+
+@contextmanager
+def locked(path: Path, *, to_read: bool = False) -> Iterator[int]:
+    """Keep writers out until the descriptor is closed, which this does only after an error.
+
+    Only one process can, and it may write; with ``to_read`` several can, and none of them may.
+
+    Raises:
+        RunDirectoryError: Another process writes there, or keeps writers out.
+    """
+    access, kind = (os.O_RDONLY, fcntl.LOCK_SH) if to_read else (os.O_RDWR, fcntl.LOCK_EX)
+    try:
+        file = os.open(path / "lock", access | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise RunDirectoryError(f"replay {path}: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except OSError:
+            raise RunDirectoryError(
+                f"replay {path}: a learner writes to it; name its run, with --connect, instead"
+                if to_read
+                else f"replay {path}: another learner writes to it, or learns from it; "
+                "stop that first"
+            ) from None
+        yield file
+    except BaseException:
+        os.close(file)
+        raise

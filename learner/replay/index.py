@@ -1,33 +1,77 @@
-"""The index of a replay: a record for each piece of a segment, appended when its rows are there.
+"""The index of a replay: one record for each piece of a segment, appended after its rows.
 
-What has a record survives the death of this process; what has none was never inserted.
+A piece counts once its record is written, and then survives the death of this process.
 """
 
 import os
+import struct
+import zlib
+from bisect import bisect_right
 from pathlib import Path
+from typing import NamedTuple
 
-from a2s.learner.replay.record import RECORD_BYTES, numbers
 from a2s.learner.run.directory import write_atomically
 from a2s.protocol.errors import RunDirectoryError
 
-_FEW_BYTES = 4096 * RECORD_BYTES
+TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
+
+_PACKED = struct.Struct("<qqqqiiB7xQ96s")
+_ROW_AND_STEPS = struct.Struct("<q28xi")
+_CHECKSUM = struct.Struct("<I")
+RECORD_BYTES = _PACKED.size + _CHECKSUM.size
+_MIN_COMPACTED_BYTES = 4096 * RECORD_BYTES
+
+
+class Record(NamedTuple):
+    """Consecutive rows of one segment; a segment that is long or wraps round has several.
+
+    Attributes:
+        previous: Row of the step before in the same episode; -1 when it is not known.
+        episode_length: Steps since the episode began, those of this record included.
+        flags: Sum of ``TERMINATED`` and ``TRUNCATED`` (how the last row ends the episode),
+            ``STARTS`` (the first row begins one), ``CONTINUES`` (the segment has more records).
+        rows_hash: XXH3 of the rows' bytes, 64 bits.
+    """
+
+    row: int
+    previous: int
+    seq: int
+    episode_length: int
+    env: int
+    steps: int
+    flags: int
+    rows_hash: int
+    actor: str
+
+    @property
+    def end(self) -> int:
+        """Number of the row after the last."""
+        return self.row + self.steps
+
+    def pack(self) -> bytes:
+        """Encode it, followed by its CRC-32."""
+        data = _PACKED.pack(*self[:-1], self.actor.encode())
+        return data + _CHECKSUM.pack(zlib.crc32(data))
+
+
+def unpack(data: bytes, position: int) -> Record | None:
+    """Decode a record; ``None`` where its checksum is not right."""
+    begin = position * RECORD_BYTES
+    end = begin + _PACKED.size
+    (crc,) = _CHECKSUM.unpack_from(data, end)
+    if zlib.crc32(data[begin:end]) != crc:
+        return None
+    *values, actor = _PACKED.unpack_from(data, begin)
+    return Record._make((*values, actor.rstrip(b"\0").decode()))
 
 
 class Index:
-    """The file of records, open for appending.
-
-    Args:
-        path: The file; made when it is not there.
-        size: Bytes of it that count; what is behind them is cut off.
-
-    Raises:
-        RunDirectoryError: It cannot be written.
-    """
+    """The file of records, cut to ``size`` bytes and open for appending."""
 
     def __init__(self, path: Path, size: int) -> None:
-        self.path = path
+        self._path = path
         self._size = size
-        self._compact_at = max(_FEW_BYTES, 2 * size)
+        self._compact_at = max(_MIN_COMPACTED_BYTES, 2 * size)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             os.ftruncate(self._file, size)
@@ -35,15 +79,10 @@ class Index:
             raise RunDirectoryError(f"{path}: {error.strerror}") from None
 
     def append(self, data: bytes, begin: int) -> None:
-        """Write records; they survive the death of this process when this returns.
-
-        Args:
-            data: Packed records.
-            begin: The oldest live row; records wholly before it are dropped now and then.
+        """Write packed records; now and then drop those wholly before the live row ``begin``.
 
         Raises:
-            RunDirectoryError: They cannot be written, for example because the disk is full;
-                nothing has changed.
+            RunDirectoryError: The disk is full, for example; nothing has changed.
         """
         try:
             if self._size >= self._compact_at:
@@ -54,12 +93,12 @@ class Index:
         except OSError as error:
             os.ftruncate(self._file, self._size)
             raise RunDirectoryError(
-                f"{self.path}: {error.strerror}; nothing is lost, make room and resume"
+                f"{self._path}: {error.strerror}; nothing is lost, make room and resume"
             ) from None
         self._size += written
 
     def flush(self) -> None:
-        """Write everything to the disk, for the case that the machine dies."""
+        """Write everything to the disk, in case the machine dies."""
         os.fsync(self._file)
 
     def close(self) -> None:
@@ -68,10 +107,10 @@ class Index:
 
     def _compact(self, begin: int) -> None:
         data = os.pread(self._file, self._size, 0)
-        found = numbers(data)
-        dead = int((found["row"] + found["steps"]).searchsorted(begin, side="right"))
-        write_atomically(self.path, data[dead * RECORD_BYTES :])
+        starts = range(0, self._size, RECORD_BYTES)
+        dead = bisect_right(starts, begin, key=lambda i: sum(_ROW_AND_STEPS.unpack_from(data, i)))
+        write_atomically(self._path, data[dead * RECORD_BYTES :])
         os.close(self._file)
-        self._file = os.open(self.path, os.O_RDWR | os.O_CLOEXEC)
+        self._file = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
         self._size = len(data) - dead * RECORD_BYTES
-        self._compact_at = max(_FEW_BYTES, 2 * self._size)
+        self._compact_at = max(_MIN_COMPACTED_BYTES, 2 * self._size)

@@ -36,18 +36,14 @@ class Limiter:
     def __init__(
         self, ratio: float, min_size: int, band: float, *, segment_steps: int, batch_size: int
     ) -> None:
-        for name, value, low in (
-            ("ratio", ratio, 0.0),
-            ("min_size", min_size, 0),
-            ("segment_steps", segment_steps, 0),
-            ("batch_size", batch_size, 0),
-        ):
-            if not low < value < float("inf"):
-                raise UsageError(f"samples per insert: {name}: found {value}, expected above {low}")
-        least = max(ratio * segment_steps, batch_size)
-        if not band >= least:
+        sizes = {"min_size": min_size, "segment_steps": segment_steps, "batch_size": batch_size}
+        for name, value in ({"ratio": ratio} | sizes).items():
+            if not 0 < value < float("inf"):
+                raise UsageError(f"samples per insert: {name}: found {value}, expected above 0")
+        min_band = max(ratio * segment_steps, batch_size)
+        if not band >= min_band:
             raise UsageError(
-                f"samples per insert: band: found {band:g}, expected at least {least:g}: the "
+                f"samples per insert: band: found {band:g}, expected at least {min_band:g}: the "
                 f"larger of a batch ({batch_size}) and of a segment times the ratio "
                 f"({ratio * segment_steps:g}), or both sides could wait for each other for ever"
             )
@@ -76,22 +72,16 @@ class Limiter:
         """Transitions that can be inserted before the longest segment has to wait."""
         return max(0, int(-self.excess / self._ratio))
 
-    def may_insert(self, steps: int | None = None) -> bool:
-        """Whether an insertion keeps within the band; counts a wait if not.
-
-        Args:
-            steps: Its transitions; those of the longest segment when not given.
-        """
-        more = self._segment_steps if steps is None else steps
-        is_free = self.error + self._ratio * more <= self._band
+    def may_insert(self) -> bool:
+        """Whether the longest segment keeps within the band; counts a wait if not."""
+        is_free = self.error + self._ratio * self._segment_steps <= self._band
         self.insert_waits += not is_free
         return is_free
 
     def may_sample(self, inserts: int | None = None) -> bool:
         """Whether another batch keeps within the band; counts a wait if not.
 
-        Args:
-            inserts: Transitions to go by; all that were inserted when not given.
+        It goes by this number of ``inserts``, which is by default that of all.
         """
         present = self.inserts if inserts is None else inserts
         is_filled = present >= self._min_size
@@ -100,11 +90,11 @@ class Limiter:
         return is_free
 
     def count_insert(self, steps: int) -> None:
-        """Transitions were inserted; also if nobody asked, for what has arrived is kept."""
+        """Count transitions that were inserted, whether or not `may_insert` was asked."""
         self.inserts += steps
 
     def count_sample(self) -> None:
-        """A batch was sampled."""
+        """Count a batch that was sampled."""
         self.samples += self._batch_size
 
     def state(self) -> dict[str, float]:
@@ -117,14 +107,13 @@ class Limiter:
         }
 
     def load(self, state: Mapping[str, float], inserts: int) -> None:
-        """Go on from a checkpoint: as far behind as then, by what was inserted since.
+        """Go on from a checkpoint: as far behind as then, and by what was inserted since.
 
-        Args:
-            state: Of the checkpoint; the ratio may have been another.
-            inserts: Transitions inserted by now; fewer if another replay was begun.
+        The ratio may have been another then, and ``inserts``, those by now, may be fewer because
+        another replay was begun.
 
         Raises:
-            RunDirectoryError: The state is not one.
+            RunDirectoryError: A number is missing or is not one.
         """
         try:
             found = {name: float(state[name]) for name in self.state()}

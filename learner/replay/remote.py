@@ -1,43 +1,123 @@
-"""Another learner's replay, sampled over the network as if it were here."""
+"""A replay over the network: what the learner serves, and how others sample it."""
 
+import threading
+import time
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
 
-from a2s.learner.replay.transitions import Transitions
+from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.sampling import Transitions
 from a2s.protocol.codec import Message, decode, encode
-from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
+from a2s.protocol.errors import A2SError, MalformedMessageError, RefusedError, UnreachableError
 from a2s.protocol.fields import Array
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Refusal
-from a2s.protocol.replay_messages import COLUMNS, Column, ReplayInfo, ReplayRequest, ReplaySample
+from a2s.protocol.replay_messages import COLUMNS, ReplayInfo, ReplayRequest, ReplaySample
 from a2s.protocol.transport import Bus
 
-_PATIENCE_S = 10.0
+_TIMEOUT_S = 10.0
 
 M = TypeVar("M", bound=Message)
 
 
-class RemoteReplay:
-    """A served replay; it can be read only.
+class ServedReplay:
+    """Answers requests for transitions, one at a time, in a bounded share of the time.
+
+    After each answer it rests, so that however much is asked, the learner keeps the rest of a
+    core; requests wait for their turn.
 
     Args:
         bus: The connection.
-        keys: Of the run whose learner serves it.
-        timeout_s: How long to wait for an answer.
+        keys: Of the run.
+        replay: Where to sample; the learner goes on inserting and sampling.
+        generation: Which start of the learner this is.
+        share: Of the time that may go into answers, above 0 and up to 1.
+        clock: Tells seconds.
+        rest: Waits for seconds.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, timeout_s: float = _PATIENCE_S) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        replay: Replay,
+        generation: int,
+        *,
+        share: float = 0.25,
+        clock: Callable[[], float] = time.monotonic,
+        rest: Callable[[float], object] = time.sleep,
+    ) -> None:
         self._bus = bus
         self._keys = keys
-        self._timeout_s = timeout_s
+        self._replay = replay
+        self._generation = generation
+        self._rest_per_answer = 1.0 / share - 1.0
+        self._clock = clock
+        self._rest = rest
+        self._turn = threading.Lock()
+        self._free_s = clock()
+
+    def open(self) -> None:
+        """Answer from now on."""
+        self._bus.answer(self._keys.replay_info, self._on_info)
+        self._bus.answer(self._keys.replay_sample, self._on_sample)
+
+    def _on_info(self, payload: bytes) -> bytes:
+        del payload
+        about, live = self._replay.about, self._replay.live
+        return encode(
+            ReplayInfo(
+                run=self._keys.run,
+                generation=self._generation,
+                env_id=about.env_id,
+                spaces=about.spaces,
+                capacity=about.capacity,
+                begin=live.start,
+                end=live.stop,
+            )
+        )
+
+    def _on_sample(self, payload: bytes) -> bytes:
+        with self._turn:
+            begin_s = self._clock()
+            if begin_s < self._free_s:
+                self._rest(self._free_s - begin_s)
+                begin_s = self._clock()
+            try:
+                return self._sample(decode(payload, ReplayRequest))
+            except A2SError as error:
+                return encode(Refusal(reason=str(error)))
+            finally:
+                end_s = self._clock()
+                self._free_s = end_s + self._rest_per_answer * (end_s - begin_s)
+
+    def _sample(self, request: ReplayRequest) -> bytes:
+        batch = self._replay.sample(
+            request.batch_size,
+            np.random.default_rng(request.seed),
+            n_step=request.n_step,
+            gamma=request.gamma,
+            prioritised=request.prioritised,
+            beta=request.beta,
+        )
+        columns = {
+            name: getattr(batch, name) if name in request.fields else None for name in COLUMNS[:-1]
+        }
+        row = tuple(batch.row.tolist()) if "row" in request.fields else ()
+        return encode(ReplaySample(begin=batch.begin, end=batch.end, row=row, **columns))
+
+
+class RemoteReplay:
+    """The replay that the learner of another run serves, read only."""
+
+    def __init__(self, bus: Bus, keys: Keys) -> None:
+        self._bus = bus
+        self._keys = keys
 
     def info(self) -> ReplayInfo:
-        """Ask what it holds now.
-
-        Raises:
-            UnreachableError: Nobody answers.
-        """
+        """Ask what it holds now; raises as `ask` does."""
         return self._ask(self._keys.replay_info, b"", ReplayInfo)
 
     def sample(
@@ -50,13 +130,7 @@ class RemoteReplay:
         prioritised: bool = False,
         beta: float = 0.4,
     ) -> Transitions:
-        """Draw transitions, as :meth:`a2s.learner.replay.replay.Replay.sample` does.
-
-        Raises:
-            UnreachableError: Nobody answers.
-            RefusedError: The learner says why not, for example because the replay is empty.
-            MalformedMessageError: A number is out of its range, or the answer is not one.
-        """
+        """Draw transitions as `Replay.sample` does; raises as `ask` does."""
         request = ReplayRequest(
             batch_size=batch_size,
             seed=int(rng.integers(1 << 63)),
@@ -67,30 +141,22 @@ class RemoteReplay:
             fields=COLUMNS,
         )
         sample = self.ask(request)
-        return Transitions(
-            obs=_column(sample, "obs"),
-            action=_column(sample, "action"),
-            reward=_column(sample, "reward"),
-            next_obs=_column(sample, "next_obs"),
-            discount=_column(sample, "discount"),
-            weight=_column(sample, "weight"),
-            row=np.array(sample.row, np.int64),
-            begin=sample.begin,
-            end=sample.end,
-        )
+        columns = {name: _column(sample, name) for name in COLUMNS[:-1]}
+        row = np.array(sample.row, np.int64)
+        return Transitions(row=row, begin=sample.begin, end=sample.end, **columns)
 
     def ask(self, request: ReplayRequest) -> ReplaySample:
-        """Draw just what is asked for.
+        """Draw just the fields that are asked for.
 
         Raises:
             UnreachableError: Nobody answers.
-            RefusedError: The learner says why not.
-            MalformedMessageError: The answer is not one.
+            RefusedError: The learner refuses, for example because the replay is empty.
+            MalformedMessageError: The answer cannot be read.
         """
         return self._ask(self._keys.replay_sample, encode(request), ReplaySample)
 
     def _ask(self, key: str, payload: bytes, kind: type[M]) -> M:
-        answer = self._bus.ask(key, payload, self._timeout_s)
+        answer = self._bus.ask(key, payload, _TIMEOUT_S)
         if answer is None:
             raise UnreachableError(
                 f"{key}: no answer; is the run {self._keys.run!r} off-policy, and its learner up?"
@@ -101,7 +167,7 @@ class RemoteReplay:
         return found
 
 
-def _column(sample: ReplaySample, name: Column) -> Array:
+def _column(sample: ReplaySample, name: str) -> Array:
     array: Array | None = getattr(sample, name)
     if array is None:
         raise MalformedMessageError(f"replay sample: {name}: found nothing, expected an array")

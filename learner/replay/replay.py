@@ -1,18 +1,13 @@
 """The replay of a run: the newest transitions of many episodes, to be sampled again and again."""
 
-import os
 import threading
 from typing import Self
 
 import numpy as np
 
-from a2s.learner.replay.columns import Columns, in_memory
-from a2s.learner.replay.description import Description
-from a2s.learner.replay.index import Index
-from a2s.learner.replay.priorities import Priorities
-from a2s.learner.replay.ring import Ring, num_slots
-from a2s.learner.replay.store import Store
-from a2s.learner.replay.transitions import Floats, Rows, Transitions
+from a2s.learner.replay.files import Description, Files
+from a2s.learner.replay.ring import Floats, Ring, Rows, make_columns
+from a2s.learner.replay.sampling import Priorities, Transitions, draw_uniform, gather
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
@@ -21,21 +16,14 @@ from a2s.protocol.messages import Segment
 class Replay:
     """Transitions, inserted by segments and sampled one by one; any thread may call it.
 
-    Made by :func:`a2s.learner.replay.directory.create` and ``open_existing``, or
-    :meth:`in_memory`. Use::
+    Made by the functions of `a2s.learner.replay.directory`, or `in_memory`. Use::
 
         replay.insert(segment)  # then write it into the ledger, then acknowledge it
         batch = replay.sample(256, rng, n_step=3, gamma=0.99, prioritised=True)
         replay.update_priorities(batch.row, np.abs(td_error))
 
-    Args:
+    Attributes:
         about: Environment and capacity.
-        ring: The rows.
-        priorities: Their priorities.
-        index: Where insertions are written down; ``None`` in memory, or to read only.
-        store: The files of the rows; ``None`` likewise.
-        is_writable: Whether transitions may be inserted.
-        lock_file: Keeps other writers out; -1 without.
         torn_records: Pieces of segments that a kill had torn, cut when the replay was opened.
         taken_back: Rows cut then because the ledger did not know their segment.
     """
@@ -45,11 +33,8 @@ class Replay:
         about: Description,
         ring: Ring,
         priorities: Priorities,
+        files: Files | None = None,
         *,
-        index: Index | None = None,
-        store: Store | None = None,
-        is_writable: bool = True,
-        lock_file: int = -1,
         torn_records: int = 0,
         taken_back: int = 0,
     ) -> None:
@@ -58,26 +43,16 @@ class Replay:
         self.taken_back = taken_back
         self._ring = ring
         self._priorities = priorities
-        self._index = index
-        self._store = store
-        self._lock_file = lock_file
-        self._is_writable = is_writable
+        self._files = files
         self._guard = threading.Lock()
 
     @classmethod
     def in_memory(cls, env_id: str, spaces: Spaces, capacity: int, *, alpha: float = 0.6) -> Self:
-        """Make one that dies with this process.
-
-        Args:
-            env_id: Environment.
-            spaces: Its spaces.
-            capacity: Transitions that it holds; the oldest are evicted.
-            alpha: Exponent of the priorities.
-        """
+        """Make one that dies with this process; arguments as for `directory.create`."""
         about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=0)
-        slots = num_slots(capacity)
-        ring = Ring(capacity, Columns.make(spaces, slots, in_memory))
-        return cls(about, ring, Priorities(np.zeros(slots, np.float32), alpha))
+        columns = make_columns(spaces, capacity, lambda _, shape: np.zeros(shape, np.float32))
+        ring = Ring(capacity, columns)
+        return cls(about, ring, Priorities(ring, np.zeros(ring.size, np.float32), alpha))
 
     def __len__(self) -> int:
         return len(self.live)
@@ -90,7 +65,7 @@ class Replay:
 
     @property
     def highest_priority(self) -> float:
-        """What a new row gets; a resumed run sets it, to go on to the bit."""
+        """The priority of a new row; a resumed run sets it, to go on to the bit."""
         return self._priorities.highest
 
     @highest_priority.setter
@@ -100,12 +75,11 @@ class Replay:
     def insert(self, segment: Segment) -> range:
         """Add the steps of a segment, evicting as many of the oldest as do not fit.
 
-        In a directory they survive the death of this process when this returns.
-
-        Returns:
-            The numbers of their rows, T of them.
+        In a directory they survive the death of this process when this returns the numbers of
+        their rows.
 
         Raises:
+            UsageError: The replay is read only or closed.
             MalformedMessageError: The segment is of another environment.
             RunDirectoryError: It cannot be written down; open the replay anew before going on.
         """
@@ -126,34 +100,27 @@ class Replay:
         prioritised: bool = False,
         beta: float = 0.4,
     ) -> Transitions:
-        """Draw transitions, with replacement.
+        """Draw transitions with replacement; the same generator draws the same.
 
         Each goes over ``n_step`` steps, or fewer where the episode ends before, or is not known
-        further; it never leaves the episode.
-
-        Args:
-            batch_size: B.
-            rng: Source of the draw; the same state gives the same rows of the same replay.
-            n_step: Steps that a transition goes over at most.
-            gamma: Discount of one step.
-            prioritised: Draw in proportion to the priorities, else uniformly.
-            beta: How far importance weights make up for that: 0 not, 1 fully.
+        further; it never leaves the episode. The draw is uniform or in proportion to the
+        priorities; then importance weights make up for that, with ``beta`` 0 not, with 1 fully.
 
         Raises:
             UsageError: The replay is empty, or B or n is below 1.
         """
         if batch_size < 1 or n_step < 1:
-            raise UsageError(f"replay: found batch of {batch_size} and n_step {n_step}, expected 1")
+            raise UsageError(
+                f"replay: found batch of {batch_size} and n_step {n_step}, expected at least 1"
+            )
         with self._guard:
-            ring = self._ring
-            if not len(ring):
+            if not len(self._ring):
                 raise UsageError("replay: found no transition to sample, insert some first")
             if prioritised:
-                row, weight = self._priorities.draw(ring.begin, ring.end, batch_size, beta, rng)
+                row, weight = self._priorities.draw(batch_size, beta, rng)
             else:
-                row = ring.begin + (rng.random(batch_size) * len(ring)).astype(np.int64)
-                weight = np.ones(batch_size, np.float32)
-            return self._transitions(row, weight, n_step, gamma)
+                row, weight = draw_uniform(self._ring, batch_size, rng)
+            return gather(self._ring, row, weight, n_step, gamma)
 
     def obs_since(self, row: int) -> Array:
         """Observations of the rows from this number on that are still there, ``[N, D]``."""
@@ -162,11 +129,9 @@ class Replay:
             return self._ring.slots.obs[self._ring.slot(rows)]
 
     def update_priorities(self, row: Rows, priority: Array | Floats) -> None:
-        """Set the priorities of sampled rows; those evicted since are passed over.
+        """Set the priorities, for example absolute TD errors, of sampled rows, ``[B]``.
 
-        Args:
-            row: As sampled, ``[B]``; where one is named twice, the last priority counts.
-            priority: 0 or more, for example absolute TD errors, ``[B]``.
+        Rows that were evicted since are passed over; of two priorities of one row the last counts.
 
         Raises:
             UsageError: A priority is negative or not finite.
@@ -182,77 +147,34 @@ class Replay:
             self._priorities.assign(row, values, highest)
 
     def flush(self) -> None:
-        """Write everything to the disk, for the case that the machine dies."""
-        if self._store is not None and self._index is not None:
-            self._store.flush()
-            self._index.flush()
+        """Write everything to the disk, in case the machine dies."""
+        if self._files is not None:
+            self._files.flush()
 
     def close(self) -> None:
         """Close the files; may be called twice."""
-        if self._index is not None:
-            self._index.close()
-            self._index, self._is_writable = None, False
-        if self._lock_file >= 0:
-            os.close(self._lock_file)
-            self._lock_file = -1
+        if self._files is not None:
+            self._files.close()
 
     def _require_fit(self, segment: Segment) -> None:
-        if not self._is_writable:
+        if self._files is not None and self._files.index is None:
             raise UsageError("replay: is open to be read only, or closed")
         spaces = self.about.spaces
+        expected = (spaces.obs_size, spaces.action_size)
         found = (segment.obs.shape[1], segment.suggestion.shape[1])
-        if found != (spaces.obs_size, spaces.action_size):
+        if found != expected:
             raise MalformedMessageError(
                 f"segment {segment.actor}/{segment.seq}: found obs_size and action_size {found}, "
-                f"expected {(spaces.obs_size, spaces.action_size)}"
+                f"expected {expected}"
             )
 
     def _insert_piece(self, segment: Segment, begin: int) -> None:
         ring, oldest = self._ring, self._ring.begin
         record = ring.write(segment, begin)
-        if self._index is not None:
+        if self._files is not None and self._files.index is not None:
             rows = ring.stretch(record.row, record.steps)
             record = record._replace(rows_hash=rows.checksum())
-            self._index.append(record.pack(), oldest)
+            self._files.index.append(record.pack(), oldest)
         ring.admit(record)
         self._priorities.admit(record.row, record.end)
         self._priorities.evict(oldest, ring.begin)
-
-    def _transitions(self, row: Rows, weight: Array, n_step: int, gamma: float) -> Transitions:
-        ring, slots = self._ring, self._ring.slots
-        first = last = ring.slot(row)
-        outcome = slots.outcome.take(first, axis=0)
-        reward, discount = outcome[:, 0], np.float32(gamma) * outcome[:, 1]
-        if n_step > 1:
-            last, reward, discount = self._add_up(row, reward, n_step, gamma)
-        return Transitions(
-            obs=slots.obs.take(first, axis=0),
-            action=slots.action.take(first, axis=0),
-            reward=reward,
-            next_obs=slots.next_obs.take(last, axis=0),
-            discount=discount,
-            weight=weight,
-            row=row,
-            begin=ring.begin,
-            end=ring.end,
-        )
-
-    def _add_up(
-        self, row: Rows, reward: Array, n_step: int, gamma: float
-    ) -> tuple[Rows, Array, Array]:
-        """Follow episodes from the rows: last slots, discounted sums of rewards, discounts."""
-        ring = self._ring
-        discounts = (gamma ** np.arange(n_step + 1)).astype(np.float32)
-        steps = np.ones(len(row), np.int64)
-        total = reward.copy()
-        for k in range(1, n_step):
-            following = ring.follow(row)
-            goes_on = following > row
-            if not goes_on.any():
-                break
-            row = following
-            reward = ring.slots.outcome[ring.slot(row), 0]
-            total += np.where(goes_on, discounts[k] * reward, np.float32(0.0))
-            steps += goes_on
-        slot = ring.slot(row)
-        return slot, total, discounts[steps] * ring.slots.outcome[slot, 1]

@@ -7,7 +7,7 @@ up anew and in one order: rounding does not build up, and the same leaves make t
 import numba
 import numpy as np
 
-from a2s.learner.replay.transitions import Floats, Rows
+from a2s.learner.replay.ring import Floats, Rows
 from a2s.protocol.fields import Array
 
 _FAN_OUT = 16
@@ -20,13 +20,10 @@ _compiled = numba.njit(cache=True, nogil=True)
 
 
 class SumTree:
-    """Non-negative leaves, drawn with a chance in proportion to each.
+    """Non-negative leaves, ``[N]``, drawn with a chance in proportion to each.
 
-    Nodes and their sums are float32, which halves the memory that a draw touches; what is left of
-    a share on the way down is float64.
-
-    Args:
-        leaves: Their values, ``[N]``.
+    Nodes, ``leaves`` among them, are float32, which halves the memory that a draw touches; what is
+    left of a share on the way down is float64.
     """
 
     def __init__(self, leaves: Array) -> None:
@@ -37,18 +34,8 @@ class SumTree:
         self._starts = np.cumsum([0, *sizes[:-1]])
         self._nodes = np.zeros(sum(sizes), np.float32)
         self._nodes[: len(leaves)] = leaves
-        self._leaves = self._nodes[: len(leaves)]
+        self.leaves = self._nodes[: len(leaves)]
         _add_up(self._nodes, self._starts, 0, len(leaves))
-
-    @property
-    def leaves(self) -> Array:
-        """The values, float32 ``[N]``; not to be written to."""
-        return self._leaves
-
-    @property
-    def total(self) -> float:
-        """Sum of all leaves."""
-        return float(self._nodes[self._starts[-1] :].sum(dtype=np.float64))
 
     def assign(self, leaf: Rows, value: Array) -> None:
         """Set leaves, ``[B]``; where one is named twice, the last value counts."""
@@ -62,10 +49,7 @@ class SumTree:
     def draw(self, batch_size: int, rng: np.random.Generator) -> Rows:
         """Draw leaves, one from each of ``batch_size`` equal shares of the total.
 
-        The total must be positive.
-
-        Returns:
-            Their indices, int64 ``[B]``; a leaf of 0 is never among them.
+        The total must be positive. The indices are int64 ``[B]``, never that of a leaf of 0.
         """
         found: Rows = _find(self._nodes, self._starts, rng.random(batch_size))
         return found
@@ -122,10 +106,8 @@ def _add_up(nodes: Array, starts: Rows, begin: int, end: int) -> None:
 def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats]:
     """Find a node in each of B shares, ``within`` 0..1 of it, on a level of at most 16 B nodes.
 
-    Shares ascend, so that one walk over the level finds all of them.
-
-    Returns:
-        The level, the nodes ``[B]``, and what is left of each share in its node ``[B]``.
+    Shares ascend, so that one walk over the level finds all of them. Returns the level, the nodes
+    ``[B]``, and what is left of each share in its node ``[B]``.
     """
     total = 0.0
     for child in range(starts[-1], len(nodes)):

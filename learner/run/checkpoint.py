@@ -17,8 +17,8 @@ from torch import Tensor
 
 from a2s.protocol.errors import RunDirectoryError
 
-_KEPT = 3
-_FORMAT = 3
+_MAX_KEPT = 3
+_FORMAT = 4
 
 
 def save(
@@ -28,7 +28,7 @@ def save(
 
     Args:
         folder: Where checkpoints are kept.
-        updates: Updates made so far; names the checkpoint, with a count if it is not the first.
+        updates: Made so far; they name the checkpoint, with a count if it is not the first.
         tensors: By name.
         state: Anything that JSON can hold.
         kind: Of the run, in words; another kind cannot go on from here.
@@ -53,7 +53,7 @@ def save(
         partial.rename(path)
     except OSError as error:
         raise RunDirectoryError(f"checkpoint {path}: {error.strerror}") from error
-    for old in _all(folder)[:-_KEPT]:
+    for old in _all(folder)[:-_MAX_KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return path, len(data) + len(text)
 
@@ -65,8 +65,8 @@ def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]
         Tensors and state, as they were given to :func:`save`.
 
     Raises:
-        RunDirectoryError: There is none, it is of another kind, or it is damaged; a damaged one
-            is never skipped silently for an older one.
+        RunDirectoryError: The folder has no checkpoint, or the newest is of another kind or
+            damaged; it is never skipped silently for an older one.
     """
     found = _all(folder)
     if not found:
@@ -97,7 +97,7 @@ def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]
 
 
 def _free(folder: Path, name: str) -> Path:
-    """A name that sorts behind all: what is there is never replaced, so a kill cannot lose it."""
+    """Find a name that sorts last: what is there is never replaced, so a kill cannot lose it."""
     same = [path for path in _all(folder) if path.name.startswith(name)]
     if not same:
         return folder / name

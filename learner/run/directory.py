@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from a2s.protocol.errors import RunDirectoryError, UsageError
-from a2s.protocol.messages import MOST_METRICS
+from a2s.protocol.fields import MAX_METRICS
 
 EPISODE_COLUMNS = (
     "wall_s",
@@ -52,7 +52,7 @@ def _writing(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Keep other learners out of a directory as long as the block, or this process, lasts.
+    """Keep other learners out of a directory while the block lasts.
 
     Raises:
         RunDirectoryError: Another one is at work there, or the directory cannot be made.
@@ -78,15 +78,9 @@ def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
 def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     """Decide where a run is kept.
 
-    Args:
-        root: Where runs are kept, for example ``runs``.
-        run: Name of the run.
-        run_dir: The directory, when the user names one.
-        resume: Whether an existing one is to be continued.
-
     Returns:
-        ``run_dir``, or the newest ``root/run*`` to resume, or the first that is free of
-        ``root/run``, ``root/run-2``, ``root/run-3``...
+        ``run_dir`` if the user names one; else the newest ``root/run*`` to resume, or the first
+        that is free of ``root/run``, ``root/run-2``, ``root/run-3``...
 
     Raises:
         UsageError: There is nothing to resume, or the named directory is in use.
@@ -111,11 +105,11 @@ class RunDirectory:
 
     Args:
         path: The directory; made when it is not there.
-        update_columns: Columns of ``updates.csv``; one that is there keeps its own.
+        update_columns: Of ``updates.csv``; a table that is there keeps its own.
         clock: Seconds since the run began, those before a resume included.
 
     Raises:
-        RunDirectoryError: It cannot be written, or its number of starts is none.
+        RunDirectoryError: It cannot be written, or ``generation`` is not an integer.
     """
 
     def __init__(
@@ -141,18 +135,17 @@ class RunDirectory:
             csv.writer(file).writerow(columns)
         return file
 
-    def episode(self, metrics: Mapping[str, float], **row: object) -> None:
-        """Append to ``episodes.csv``; the names are `EPISODE_COLUMNS` but for the first.
+    def episode(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
+        """Append to ``episodes.csv``: the values of `EPISODE_COLUMNS` but for the first.
 
         What environments tell has columns after these, each from the first episode that has it.
         """
         added = [name for name in metrics if name not in self._metric_names]
         if added:
-            self._add_columns(added[: MOST_METRICS - len(self._metric_names)])
-        values = [row[name] for name in EPISODE_COLUMNS[1:]]
+            self._add_columns(added[: MAX_METRICS - len(self._metric_names)])
         told = [f"{metrics[n]:.9g}" if n in metrics else "" for n in self._metric_names]
         with _writing(self._episodes.name):
-            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *values, *told])
+            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *row, *told])
 
     def _add_columns(self, names: list[str]) -> None:
         """Write the table anew with more columns, empty so far."""
@@ -244,11 +237,10 @@ def _short(value: object) -> object:
 
 
 def column_of(metric: str) -> str:
-    """Name the column of what an environment tells; ours have their names already."""
+    """Name the column of what an environment tells, other than ours."""
     return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
 
 
 def _header(table: Path) -> list[str]:
-    """Read which columns a table has."""
     with table.open(newline="") as file:
         return next(csv.reader(file), [])

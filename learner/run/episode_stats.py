@@ -1,21 +1,20 @@
-"""What the episodes of a run amount to, so far."""
+"""What the episodes of a run amount to so far."""
 
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from a2s.protocol.messages import MOST_METRICS
+from a2s.protocol.fields import MAX_METRICS
 
 _WINDOW = 100
 _RECENT = 10
 
 
 @dataclass(slots=True)
-class EpisodeRecord:
+class EpisodeStats:
     """Running statistics over finished episodes.
 
     Attributes:
-        count: Episodes so far.
         best: Greatest return so far.
         returns: Of the last 100 episodes.
         lengths: Of the last 100 episodes, in steps.
@@ -35,7 +34,7 @@ class EpisodeRecord:
         self.returns.append(episode_return)
         self.lengths.append(length)
         for name, value in metrics.items():
-            if name not in self.metrics and len(self.metrics) < MOST_METRICS:
+            if name not in self.metrics and len(self.metrics) < MAX_METRICS:
                 self.metrics[name] = deque(maxlen=_WINDOW)
             if name in self.metrics:
                 self.metrics[name].append(value)

@@ -1,7 +1,7 @@
 """What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import get_args
 
 from prometheus_client import (
@@ -18,6 +18,7 @@ from prometheus_client import (
 
 from a2s import __version__
 from a2s.learner.on_policy.stats import UpdateStats
+from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import Verdict
@@ -38,6 +39,13 @@ class LearnerMetrics:
         self.build.info({"version": __version__, "protocol": str(SCHEMA_VERSION)})
         self.run = Info("a2s_run", "Which run this is.", registry=self.registry)
 
+        self._add_ingest()
+        self._add_episodes()
+        self._add_updates()
+        self._add_replay()
+        self._add_weights()
+
+    def _add_ingest(self) -> None:
         self.env_steps = self._counter("env_steps", "Environment steps accepted.")
         self.received = self._counter(
             "transitions_received", "Transitions of segments, by the answer.", "result"
@@ -47,18 +55,17 @@ class LearnerMetrics:
         self.refused = self._counter(
             "messages_refused", "Unusable messages, by kind and reason.", "message", "reason"
         )
-        self.episodes = self._counter("episodes", "Finished episodes.")
-        self.updates = self._counter("updates", "Updates: batches learned from.")
-        self.gradient_steps = self._counter("gradient_steps", "Gradient steps.", "network")
         self.starved = self._counter("starved_seconds", "Time spent waiting for a batch.")
         self.joins = self._counter("actor_joins", "Actors that joined.")
         self.leaves = self._counter("actor_leaves", "Actors that left.", "reason")
-        self.recoveries = self._counter("recoveries", "Recoveries of the best networks.")
-        self.published = self._counter("weights_published", "Versions of weights published.")
-        self.checkpoint_failures = self._counter(
-            "checkpoint_failures", "Checkpoints that could not be written."
+        self.actors = self._gauge("actors", "Actors present.")
+        self.queue = self._gauge("ingest_queue_transitions", "Transitions that wait for an update.")
+        self.policy_lag = self._histogram(
+            "policy_lag_updates", "Versions that accepted segments were behind.", _LAGS
         )
 
+    def _add_episodes(self) -> None:
+        self.episodes = self._counter("episodes", "Finished episodes.")
         self.return_mean = self._unknown(
             "episode_return_mean", "Mean return of the last 100 episodes."
         )
@@ -71,6 +78,17 @@ class LearnerMetrics:
             "episode_info_mean", "What environments told of the last 100 episodes.", "metric"
         )
         self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
+
+    def _add_updates(self) -> None:
+        self.updates = self._counter("updates", "Updates: batches learned from.")
+        self.gradient_steps = self._counter("gradient_steps", "Gradient steps.", "network")
+        self.update_seconds = Histogram(
+            "a2s_learner_update_seconds",
+            "Where the time of an update goes.",
+            ["phase"],
+            buckets=_SECONDS,
+            registry=self.registry,
+        )
         self.loss = self._gauge("loss", "Losses of the latest update.", "loss")
         self.kl = self._unknown("kl", "KL divergence of the latest update, nats.")
         self.entropy = self._unknown("entropy", "Entropy of the policy, nats.")
@@ -86,6 +104,12 @@ class LearnerMetrics:
             "q_action_correlation",
             "Of Q - V with target - V before they are fitted: does Q know the actions apart?",
         )
+        self.recoveries = self._counter("recoveries", "Recoveries of the best networks.")
+        self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
+        self.recovery_best = self._unknown("recovery_best_return", "r* of equation 5.")
+        self.epoch = self._gauge("epoch", "Recovery epoch: recoveries so far.")
+
+    def _add_replay(self) -> None:
         self.temperature = self._unknown("temperature", "Weight of the entropy, off-policy.")
         self.q_mean = self._unknown("q_mean", "Mean of Q on the batches, in returns, off-policy.")
         self.replay_rows = self._unknown("replay_transitions", "Transitions in the replay.")
@@ -99,28 +123,18 @@ class LearnerMetrics:
         self.limiter_waits = self._counter(
             "samples_per_insert_waits", "Times that a side was ahead and had to wait.", "side"
         )
-        self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
-        self.recovery_best = self._unknown("recovery_best_return", "r* of equation 5.")
-        self.epoch = self._gauge("epoch", "Recovery epoch: recoveries so far.")
+
+    def _add_weights(self) -> None:
         self.generation = self._gauge("generation", "Starts of the learner within this run.")
-        self.actors = self._gauge("actors", "Actors present.")
-        self.queue = self._gauge("ingest_queue_transitions", "Transitions that wait for an update.")
+        self.published = self._counter("weights_published", "Versions of weights published.")
         self.weights_version = self._gauge("weights_version", "Newest version.")
         self.weights_bytes = self._gauge("weights_bytes", "Size of the newest graph.")
         self.checkpoint_time = self._unknown(
             "checkpoint_timestamp_seconds", "When the latest checkpoint was written."
         )
         self.checkpoint_bytes = self._unknown("checkpoint_bytes", "Size of the latest checkpoint.")
-
-        self.policy_lag = self._histogram(
-            "policy_lag_updates", "Versions that accepted segments were behind.", _LAGS
-        )
-        self.update_seconds = Histogram(
-            "a2s_learner_update_seconds",
-            "Where the time of an update goes.",
-            ["phase"],
-            buckets=_SECONDS,
-            registry=self.registry,
+        self.checkpoint_failures = self._counter(
+            "checkpoint_failures", "Checkpoints that could not be written."
         )
         self.checkpoint_seconds = self._histogram(
             "checkpoint_seconds", "Time to write a checkpoint.", _SECONDS
@@ -174,17 +188,15 @@ class LearnerMetrics:
         self.temperature.set(row["temperature"])
         self.q_mean.set(row["q_mean"])
 
-    def show_episodes(
-        self, returns: Sequence[float], lengths: Sequence[int], info: Mapping[str, float]
-    ) -> None:
+    def show_episodes(self, episodes: EpisodeStats) -> None:
         """Show the latest episodes."""
-        for name, mean in info.items():
+        for name, mean in episodes.mean_metrics.items():
             self.episode_info.labels(metric=name).set(mean)
-        if returns:
+        if returns := episodes.returns:
             self.return_mean.set(sum(returns) / len(returns))
             self.return_min.set(min(returns))
             self.return_max.set(max(returns))
-            self.length_mean.set(sum(lengths) / len(lengths))
+            self.length_mean.set(sum(episodes.lengths) / len(episodes.lengths))
 
     def serve(self, host: str, port: int) -> tuple[int, Callable[[], None]]:
         """Serve the metrics over HTTP.

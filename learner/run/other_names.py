@@ -110,6 +110,9 @@ REMOVED = {
         "distil_weight": Removed((0,), _NOTHING),
         "distil_top": Removed((1,), _NOTHING),
         "selection_fades": Removed((False,), "off-policy it was not shown to bring anything"),
+        "selector": Removed(("one",), "one critic, drawn anew, selects"),
+        "quiet_rare_obs": Removed((True,), "it is a part of norm_obs; docs/adr/0016"),
+        "distil_suggestions": Removed((4, 10), "the loss score has act_suggestions"),
         "weight_decay": Removed((0,), "every preset had 0"),
     },
 }

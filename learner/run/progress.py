@@ -1,70 +1,30 @@
-"""How a run shows itself in the terminal: a live picture, or plain lines where there is none."""
+"""How a run shows itself in the terminal: a live display, or plain lines where there is none."""
 
 import sys
 import time
-from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from typing import Protocol, TextIO
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from a2s.learner.ingest.members import Member
 from a2s.learner.numerals import written
+from a2s.learner.run.status import Status
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _CURVE_POINTS = 60
 _LIVE_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
 _PATIENCE_S = 3.0
-_RATE_WINDOW_S = 10.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
-    """Where a run stands.
-
-    Attributes:
-        env_steps: Environment steps taken into batches, and all accepted before a restart.
-        total_steps: Where the run ends.
-        episodes: Finished episodes.
-        return_mean: Of the last 100 episodes; ``None`` before the first.
-        return_best: Best episode so far.
-        updates: Batches learned from.
-        weights_version: Newest version.
-        recoveries: Returns to the best networks.
-        actors: Present.
-        num_envs: Environments of all of them.
-        waiting_for: What the learner waits for; empty while it learns.
-        wall_s: Seconds since the run began.
-        kl: KL divergence of the latest update; ``None`` while waiting.
-        info: Means of what environments told of the last 100 episodes, by name.
-    """
-
-    env_steps: int
-    total_steps: int
-    episodes: int
-    return_mean: float | None
-    return_best: float | None
-    updates: int
-    weights_version: int
-    recoveries: int
-    actors: int
-    num_envs: int
-    waiting_for: str
-    wall_s: float
-    kl: float | None
-    info: Mapping[str, float] = field(default_factory=dict)
 
 
 class View(Protocol):
     """Shows progress; called often, draws as often as is useful."""
 
-    def show(self, progress: Progress) -> None:
-        """Take the newest progress."""
+    def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
+        """Take the newest status, the actors present, and the KL divergence of a new update."""
         ...
 
     def close(self) -> None:
@@ -72,108 +32,90 @@ class View(Protocol):
         ...
 
 
-class _Rate:
-    """Steps per second over the last ten seconds."""
-
-    def __init__(self) -> None:
-        self._points: deque[tuple[float, int]] = deque()
-
-    def of(self, progress: Progress) -> float:
-        points = self._points
-        points.append((progress.wall_s, progress.env_steps))
-        while len(points) > 2 and points[-1][0] - points[0][0] > _RATE_WINDOW_S:
-            points.popleft()
-        seconds = points[-1][0] - points[0][0]
-        return (points[-1][1] - points[0][1]) / seconds if seconds > 0 else 0.0
-
-
 class PlainView:
     """One line every few seconds, for logs and pipes."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
-        self._rate = _Rate()
-        self._last_s = 0.0
+        self._written_s = 0.0
+        self._steps = 0
 
-    def show(self, progress: Progress) -> None:
+    def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
         """Write a line if it is time to."""
-        now_s = time.monotonic()
-        rate = self._rate.of(progress)
-        if now_s - self._last_s < _LINE_EVERY_S:
+        now_s, steps = time.monotonic(), status.env_steps
+        if now_s - self._written_s < _LINE_EVERY_S:
             return
-        self._last_s = now_s
-        self._out.write(describe(progress, rate) + "\n")
+        rate = (steps - self._steps) / (now_s - self._written_s) if self._written_s else 0.0
+        self._written_s, self._steps = now_s, steps
+        episodes = status.episodes
+        line = (
+            f"steps={steps} steps_per_s={rate:.0f} "
+            f"return={_number(episodes.mean_return)} best={_number(episodes.best)} "
+            f"episodes={episodes.count} version={status.version} "
+            f"recoveries={status.num_recoveries} actors={len(members)}"
+        )
+        line += "".join(f" {name}={mean:.3g}" for name, mean in episodes.mean_metrics.items())
+        line += f" waiting_for={status.waiting_for!r}" if status.waiting_for else ""
+        self._out.write(line + "\n")
         self._out.flush()
 
     def close(self) -> None:
         """Nothing to put back."""
 
 
-class LiveView:
-    """A bar, a curve and the numbers, redrawn in place.
+class _Display(Progress):
+    """A bar with lines of text below it."""
 
-    Args:
-        console: Where to draw.
-        title: What runs.
-    """
+    lines: tuple[str, ...] = ()
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        yield Text("\n".join(self.lines))
+
+
+class LiveView:
+    """A bar, the curve of returns and the numbers, redrawn in place."""
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
-        self._rate = _Rate()
-        self._curve: list[float] = []
-        self._episodes = 0
-        self._last_s = 0.0
+        self._display = _Display(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
+            TextColumn("{task.fields[rate]:,.0f} steps/s"),
+            TimeRemainingColumn(),
+            console=console,
+            auto_refresh=False,
+        )
+        self._task: TaskID | None = None
+        self._drawn_s = 0.0
         self._waiting_since_s: float | None = None
-        self._live = Live(console=console, auto_refresh=False, transient=False)
-        self._live.start()
+        self._curve: list[float] = []
+        self._rows = 0
 
-    def show(self, progress: Progress) -> None:
+    def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
         """Redraw if it is time to."""
-        rate = self._rate.of(progress)
-        if progress.return_mean is not None and progress.episodes > self._episodes:
-            self._episodes = progress.episodes
-            self._curve = thin([*self._curve, progress.return_mean])
-        now_s = time.monotonic()
-        if not progress.waiting_for or self._waiting_since_s is None:
+        now_s, display = time.monotonic(), self._display
+        if not status.waiting_for or self._waiting_since_s is None:
             self._waiting_since_s = now_s
-        if now_s - self._last_s >= _LIVE_EVERY_S:
-            self._last_s = now_s
-            waited_s = now_s - self._waiting_since_s
-            self._live.update(self._draw(progress, rate, waited_s), refresh=True)
+        if now_s - self._drawn_s < _LIVE_EVERY_S:
+            return
+        self._drawn_s = now_s
+        mean = status.episodes.mean_return
+        if mean is not None and status.rows != self._rows:
+            self._curve, self._rows = thin([*self._curve, mean]), status.rows
+        done, total = status.env_steps, status.run.total_steps
+        if self._task is None:
+            display.start()
+            self._task = display.add_task(self._title, total=total, completed=done, rate=0.0)
+        display.update(self._task, completed=done, rate=display.tasks[0].speed or 0.0)
+        waited_s = now_s - self._waiting_since_s
+        display.lines = (sparkline(self._curve), *_lines(status, members, kl, waited_s))
+        display.refresh()
 
     def close(self) -> None:
         """Leave the last picture and give the terminal back."""
-        self._live.stop()
-
-    def _draw(self, progress: Progress, rate: float, waited_s: float) -> Group:
-        bar = Table.grid()
-        bar.add_row(ProgressBar(progress.total_steps, progress.env_steps, width=_CURVE_POINTS))
-        left = progress.total_steps - progress.env_steps
-        ends = f"{_duration(left / rate)} left" if rate > 0 and left > 0 else ""
-        table = Table.grid(padding=(0, 3))
-        table.add_row(
-            f"steps {progress.env_steps:,} of {progress.total_steps:,}",
-            f"{rate:,.0f} steps/s",
-            f"{_duration(progress.wall_s)} {ends}",
-        )
-        table.add_row(
-            f"return {_number(progress.return_mean)} best {_number(progress.return_best)}",
-            f"episodes {progress.episodes:,}",
-            f"updates {progress.updates:,} recoveries {progress.recoveries}",
-        )
-        table.add_row(
-            f"actors {progress.actors} with {progress.num_envs} environments",
-            f"version {progress.weights_version}",
-            "" if progress.kl is None else f"KL {progress.kl:.4f}",
-        )
-        if progress.info:
-            table.add_row(*(f"{name} {mean:.3g}" for name, mean in list(progress.info.items())[:3]))
-        lines: list[RenderableType] = [Text(self._title, style="bold"), bar, table]
-        lines.append(Text(sparkline(self._curve)))
-        if progress.waiting_for and waited_s > _PATIENCE_S:
-            waiting = f"waiting {waited_s:.0f} s for {progress.waiting_for}"
-            lines.append(Text(waiting, style="yellow"))
-        return Group(*lines)
+        self._display.stop()
 
 
 def make_view(title: str, *, quiet: bool) -> View:
@@ -187,38 +129,37 @@ def make_view(title: str, *, quiet: bool) -> View:
     return LiveView(Console(file=out), title) if out.isatty() else PlainView(out)
 
 
-def describe(progress: Progress, rate: float) -> str:
-    """Say where a run stands in one line."""
-    line = (
-        f"steps={progress.env_steps} steps_per_s={rate:.0f} "
-        f"return={_number(progress.return_mean)} best={_number(progress.return_best)} "
-        f"episodes={progress.episodes} version={progress.weights_version} "
-        f"recoveries={progress.recoveries} actors={progress.actors}"
+def _lines(
+    status: Status, members: Sequence[Member], kl: float | None, waited_s: float
+) -> Iterable[str]:
+    episodes = status.episodes
+    num_envs = sum(member.num_envs for member in members)
+    yield (
+        f"return {_number(episodes.mean_return)}  best {_number(episodes.best)}  "
+        f"episodes {episodes.count:,}  updates {status.updates:,}"
+        + ("" if kl is None else f"  KL {kl:.4f}")
     )
-    line += "".join(f" {name}={mean:.3g}" for name, mean in progress.info.items())
-    return f"{line} waiting_for={progress.waiting_for!r}" if progress.waiting_for else line
+    yield (
+        f"actors {len(members)} with {num_envs} environments  version {status.version}  "
+        f"recoveries {status.num_recoveries}"
+    )
+    if metrics := episodes.mean_metrics:
+        yield "  ".join(f"{name} {mean:.3g}" for name, mean in [*metrics.items()][:3])
+    if status.waiting_for and waited_s > _PATIENCE_S:
+        yield f"waiting {waited_s:.0f} s for {status.waiting_for}"
 
 
-def thin(points: list[float]) -> list[float]:
+def thin(curve: list[float]) -> list[float]:
     """Halve a curve that has become too long, keeping its last point."""
-    return points if len(points) <= 2 * _CURVE_POINTS else points[1::2]
+    return curve if len(curve) <= _CURVE_POINTS else curve[::-2][::-1]
 
 
-def sparkline(points: list[float]) -> str:
+def sparkline(curve: Sequence[float]) -> str:
     """Draw a curve in one line of blocks."""
-    shown = points[-_CURVE_POINTS:] if len(points) <= _CURVE_POINTS else points[::2]
-    if not shown:
-        return ""
-    low, high = min(shown), max(shown)
+    low, high = min(curve, default=0.0), max(curve, default=0.0)
     scale = (len(_BARS) - 1) / (high - low) if high > low else 0.0
-    return "".join(_BARS[round((point - low) * scale)] for point in shown)
+    return "".join(_BARS[round((point - low) * scale)] for point in curve)
 
 
 def _number(value: float | None) -> str:
     return "-" if value is None else written(value)
-
-
-def _duration(seconds: float) -> str:
-    minutes, seconds = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

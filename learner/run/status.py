@@ -1,151 +1,126 @@
-"""Where a run stands, and the three ways of saying it: progress, status, summary."""
+"""What a run has reached."""
 
 import hashlib
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
-from a2s.learner.ingest.ingest import Gather
-from a2s.learner.ingest.ledger import Accounts
+from a2s.learner.feed import Attendance
+from a2s.learner.ingest.members import Member
 from a2s.learner.run.config import RunConfig
-from a2s.learner.run.episode_stats import EpisodeRecord
-from a2s.learner.run.progress import Progress
+from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.protocol.messages import RunStatus
+
+POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
 
 
 @dataclass(slots=True)
-class Standing:
-    """What the learner's loop counts.
+class Status:
+    """What the learner's loop has reached.
 
     Attributes:
+        run: Options of the run.
+        episodes: Finished ones.
         generation: Which start of the learner this is.
         env_steps: Environment steps learned from, those of earlier starts included.
         steps_at_start: The same, when this learner started.
-        updates: Updates made.
         rows: Rows of ``updates.csv``.
-        version: Newest weights.
-        epoch: Recoveries.
+        version: Newest weights that were published.
+        is_ahead: The networks have learned since then, and are of the version after it.
+        num_recoveries: Called ``epoch`` on the wire.
         best_recent: Best mean return of 10 episodes in a row; ``None`` before the first.
         waiting_for: What the loop waits for; empty while it learns.
         worked_s: Seconds that earlier starts took.
         began_s: When this learner started, on the monotonic clock.
     """
 
+    run: RunConfig
+    episodes: EpisodeStats = field(default_factory=EpisodeStats)
     generation: int = 0
     env_steps: int = 0
     steps_at_start: int = 0
     updates: int = 0
     rows: int = 0
     version: int = 0
-    epoch: int = 0
+    is_ahead: bool = False
+    num_recoveries: int = 0
     best_recent: float | None = None
     waiting_for: str = ""
     worked_s: float = 0.0
     began_s: float = field(default_factory=time.monotonic)
 
+    @property
+    def networks_version(self) -> int:
+        """Version of the present networks, whether they were published yet or not."""
+        return self.version + self.is_ahead
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all steps were played."""
+        return self.env_steps >= self.run.total_steps
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the run that is done, 0..1."""
+        return min(1.0, self.env_steps / self.run.total_steps)
+
+    @property
     def wall_s(self) -> float:
         """Seconds of the run so far."""
         return self.worked_s + time.monotonic() - self.began_s
 
+    @property
     def env_steps_per_s(self) -> float:
         """Steps per second since this learner started."""
         seconds = max(time.monotonic() - self.began_s, 1e-9)
         return (self.env_steps - self.steps_at_start) / seconds
 
+    def position(self) -> dict[str, object]:
+        """For a row of ``updates.csv``, by `POSITION`."""
+        wall_s, version = round(self.wall_s, 3), self.version
+        position = self.updates, wall_s, self.env_steps, version, self.num_recoveries
+        return dict(zip(POSITION, position, strict=True))
 
-class Report:
-    """Says where a run stands.
-
-    Args:
-        run: Its options.
-        at: Where it stands.
-        record: Its episodes.
-        gather: Its actors and accounts.
-    """
-
-    def __init__(self, run: RunConfig, at: Standing, record: EpisodeRecord, gather: Gather) -> None:
-        self._run, self._at, self._record, self._gather = run, at, record, gather
-
-    def progress(self, kl: float | None) -> Progress:
-        """For the terminal; ``kl`` is that of the latest update."""
-        members = self._gather.members()
-        return Progress(
-            env_steps=self._at.env_steps,
-            total_steps=self._run.total_steps,
-            episodes=self._record.count,
-            return_mean=self._record.mean_return,
-            return_best=self._record.best,
-            updates=self._at.updates,
-            weights_version=self._at.version,
-            recoveries=self._at.epoch,
-            actors=len(members),
-            num_envs=sum(member.num_envs for member in members),
-            waiting_for=self._at.waiting_for,
-            wall_s=self._at.wall_s(),
-            kl=kl,
-            info=self._record.mean_metrics,
-        )
-
-    def status(self) -> RunStatus:
+    def message(self, members: Sequence[Member]) -> RunStatus:
         """For whoever asks over the network."""
-        mean = self._record.mean_return
+        mean = self.episodes.mean_return
         return RunStatus(
-            run=self._run.run,
-            generation=self._at.generation,
-            env_id=self._run.env,
-            env_steps=self._at.env_steps,
-            total_steps=self._run.total_steps,
-            episodes=self._record.count,
-            updates=self._at.updates,
-            weights_version=self._at.version,
-            epoch=self._at.epoch,
+            run=self.run.run,
+            generation=self.generation,
+            env_id=self.run.env,
+            env_steps=self.env_steps,
+            total_steps=self.run.total_steps,
+            episodes=self.episodes.count,
+            updates=self.updates,
+            weights_version=self.version,
+            epoch=self.num_recoveries,
             return_mean=math.nan if mean is None else mean,
-            env_steps_per_s=self._at.env_steps_per_s(),
-            waiting_for=self._at.waiting_for,
-            actors=tuple(m.status for m in self._gather.members() if m.status is not None),
+            env_steps_per_s=self.env_steps_per_s,
+            waiting_for=self.waiting_for,
+            actors=tuple(m.status for m in members if m.status is not None),
         )
 
-
-def summarise(
-    run: RunConfig,
-    at: Standing,
-    record: EpisodeRecord,
-    accounts: Accounts,
-    path: Path,
-    graph: bytes,
-    dropped_steps: int = 0,
-) -> dict[str, Any]:
-    """For ``summary.json`` and ``--json``.
-
-    Args:
-        run: The options of the run.
-        at: Where it stands.
-        record: Its episodes.
-        accounts: Its segments.
-        path: Its directory.
-        graph: The final weights.
-        dropped_steps: Steps whose numbers could not be used, as actors told.
-    """
-    return {
-        "run_dir": str(path),
-        "env": run.env,
-        "variant": run.variant,
-        "algo": run.algo,
-        "preset": run.preset,
-        "seed": run.seed,
-        "env_steps": at.env_steps,
-        "episodes": record.count,
-        "updates": at.updates,
-        "wall_s": round(at.wall_s(), 3),
-        "env_steps_per_s": round(at.env_steps_per_s(), 1),
-        "return_mean_last_10": record.recent_return,
-        "return_best": record.best,
-        "recoveries": at.epoch,
-        "segments": asdict(accounts),
-        "dropped_transitions": dropped_steps,
-        "info_metrics": record.mean_metrics,
-        "weights_sha256": hashlib.sha256(graph).hexdigest(),
-        "finished": at.env_steps >= run.total_steps,
-    }
+    def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:
+        """For ``summary.json`` and ``--json``; ``graph`` is the final policy."""
+        return {
+            "env": self.run.env,
+            "variant": self.run.variant,
+            "algo": self.run.algo,
+            "preset": self.run.preset,
+            "seed": self.run.seed,
+            "env_steps": self.env_steps,
+            "episodes": self.episodes.count,
+            "updates": self.updates,
+            "wall_s": round(self.wall_s, 3),
+            "env_steps_per_s": round(self.env_steps_per_s, 1),
+            "return_mean_last_10": self.episodes.recent_return,
+            "return_best": self.episodes.best,
+            "recoveries": self.num_recoveries,
+            "segments": asdict(attendance.accounts),
+            "dropped_transitions": attendance.dropped_steps,
+            "info_metrics": self.episodes.mean_metrics,
+            "weights_sha256": hashlib.sha256(graph).hexdigest(),
+            "finished": self.is_finished,
+        }

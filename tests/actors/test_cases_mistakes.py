@@ -5,7 +5,7 @@ import re
 import sys
 from pathlib import Path
 
-import a2s_case_mistakes
+import a2s_case_envs
 import pytest
 from a2s_case_mistakes import RAISED, RESETS, STEPS, line_of
 from case_plays import action
@@ -14,7 +14,7 @@ from a2s.actors.environments.environment import Environment
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError
 
-FILE = r"\((?:\S*/)?a2s_case_mistakes\.py:(\d+)\)"
+FILE = r"\((?:\S*/)?a2s_case_(?:envs|mistakes)\.py:(\d+)\)"
 
 
 def _make(name: str) -> Environment:
@@ -47,14 +47,14 @@ def test_what_step_returns_wrongly_is_said_in_one_line(name: str, said: str) -> 
     environment.reset(seed=1)
     with pytest.raises(FaultyEnvironmentError) as error:
         environment.step(action(0.5))
-    assert _one_line(error, name, said) in _lines(a2s_case_mistakes.WrongStep.step)
+    assert _one_line(error, name, said) in _lines(a2s_case_envs.Changed.step)
 
 
 @pytest.mark.parametrize(("name", "said"), [(name, said) for name, (_, said) in RESETS.items()])
 def test_what_reset_returns_wrongly_is_said_in_one_line(name: str, said: str) -> None:
     with pytest.raises(FaultyEnvironmentError) as error:
         _make(name).reset(seed=1)
-    assert _one_line(error, name, said) in _lines(a2s_case_mistakes.WrongReset.reset)
+    assert _one_line(error, name, said) in _lines(a2s_case_envs.Changed.reset)
 
 
 @pytest.mark.parametrize(("how", "said"), RAISED.items())

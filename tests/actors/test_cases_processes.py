@@ -12,7 +12,7 @@ from a2s.actors.check import check
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
 
-pytestmark = [pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.timeout(120), pytest.mark.slow]
 
 # A parent that starts a child, says its number, and waits to be killed.
 PARENT = """
@@ -48,6 +48,18 @@ def test_what_simulators_do_on_their_own_is_no_fault(name: str) -> None:
     env_id = f"a2s_case_processes:{name}-v0"
     found = check(EnvConfig(env_id=env_id, timeout_s=1.0), lambda _: None)
     assert found["steps"] > 0
+
+
+def test_an_environment_that_configures_logging_does_not_silence_our_lines() -> None:
+    words: list[str] = []
+    check(EnvConfig(env_id="a2s_case_processes:SilencesLogs-v0"), words.append)
+    assert any("close raised RuntimeError: there is nothing to close" in w for w in words), words
+
+
+def test_orphans_that_have_ended_are_not_kept_as_zombies() -> None:
+    words: list[str] = []
+    check(EnvConfig(env_id="a2s_case_processes:Daemons-v0"), words.append)
+    assert {word for word in words if "zombies" in word} == {"0 zombies"}
 
 
 def test_a_process_that_was_there_before_is_none_of_ours(tmp_path: Path) -> None:

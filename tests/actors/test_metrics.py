@@ -5,7 +5,7 @@ import urllib.request
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from a2s.actors.metrics import Fleet, Tally, serve
+from a2s.actors.metrics import ActorMetrics, Fleet, serve
 from a2s.protocol.errors import UsageError
 
 
@@ -22,11 +22,13 @@ def _scrape(fleet: Fleet) -> dict[tuple[str, ...], float]:
 def test_counts_of_a_dead_worker_are_kept_and_added_to() -> None:
     fleet = Fleet(2)
     for steps in (100, 30):
-        tally = Tally()
-        tally.count("env_steps", steps)
-        tally.count("acks", result="accepted")
-        tally.observe("send_seconds", 0.3)
-        fleet.update(1, tally.snapshot())
+        metrics = ActorMetrics()
+        metrics.env_steps.inc(steps)
+        metrics.acks.labels("accepted").inc()
+        metrics.send_seconds.observe(0.3)
+        metrics.epoch.set(3)
+        fleet.update(1, metrics.samples())
+        assert _scrape(fleet)["a2s_actor_epoch", "worker=1"] == 3
         fleet.ended(1)
         fleet.restarted(1)
     seen = _scrape(fleet)
@@ -35,6 +37,7 @@ def test_counts_of_a_dead_worker_are_kept_and_added_to() -> None:
     assert seen["a2s_actor_acks_total", "result=accepted", "worker=1"] == 2
     assert seen["a2s_actor_restarts_total", "worker=1"] == 2
     assert seen["a2s_actor_worker_up", "worker=1"] == 0
+    assert ("a2s_actor_epoch", "worker=1") not in seen  # the state of a process that is gone
     assert seen["a2s_actor_send_seconds_bucket", "le=0.1", "worker=1"] == 0
     assert seen["a2s_actor_send_seconds_bucket", "le=0.5", "worker=1"] == 2
     assert seen["a2s_actor_send_seconds_count", "worker=1"] == 2

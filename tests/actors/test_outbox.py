@@ -1,4 +1,4 @@
-"""The spool: in order, until answered, never more than fits."""
+"""The outbox: in order, until answered, never more than fits."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -6,8 +6,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from a2s.actors.metrics import Tally
-from a2s.actors.outbox import Spool
+from a2s.actors.metrics import ActorMetrics, total
+from a2s.actors.outbox import Outbox
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.messages import Ack, Segment, Verdict
@@ -33,15 +33,15 @@ def _ack(verdict: Verdict = "accepted", wait_s: float = 0.0) -> bytes:
 
 
 @contextmanager
-def _spool(
-    exchange: Exchange, capacity_steps: int, tally: Tally
-) -> Iterator[tuple[Spool, list[Ack]]]:
+def _outbox(
+    exchange: Exchange, capacity_steps: int, metrics: ActorMetrics
+) -> Iterator[tuple[Outbox, list[Ack]]]:
     acks: list[Ack] = []
-    spool = Spool(InProcessBus(exchange), "k", capacity_steps, acks.append, lambda: None, tally)
+    outbox = Outbox(InProcessBus(exchange), "k", capacity_steps, acks.append, lambda: None, metrics)
     try:
-        yield spool, acks
+        yield outbox, acks
     finally:
-        spool.close(0.0)
+        outbox.close(0.0)
 
 
 def test_segments_arrive_in_order_and_are_forgotten_when_answered(wait_for: WaitFor) -> None:
@@ -52,16 +52,16 @@ def test_segments_arrive_in_order_and_are_forgotten_when_answered(wait_for: Wait
         return _ack()
 
     InProcessBus(exchange).answer("k", answer)
-    tally = Tally()
-    with _spool(exchange, 1000, tally) as (spool, acks):
-        assert all(spool.put(_segment(seq), 1.0) for seq in range(20))
-        wait_for(lambda: spool.answered == 20, "20 answers")
-        assert (seen, spool.steps, len(acks)) == (list(range(20)), 0, 20)
-        assert tally.snapshot()["gauges"]["outbox_transitions"] == 0
+    metrics = ActorMetrics()
+    with _outbox(exchange, 1000, metrics) as (outbox, acks):
+        assert all(outbox.put(_segment(seq), 1.0) for seq in range(20))
+        wait_for(lambda: outbox.answered == 20, "20 answers")
+        assert (seen, outbox.steps, len(acks)) == (list(range(20)), 0, 20)
+        assert metrics.registry.get_sample_value("a2s_actor_outbox_transitions") == 0
 
 
 def test_a_segment_without_an_answer_is_sent_again_the_same_bytes(wait_for: WaitFor) -> None:
-    exchange, payloads, tally = Exchange(), list[bytes](), Tally()
+    exchange, payloads, metrics = Exchange(), list[bytes](), ActorMetrics()
 
     def deaf_twice(payload: bytes) -> bytes:
         payloads.append(payload)
@@ -70,50 +70,50 @@ def test_a_segment_without_an_answer_is_sent_again_the_same_bytes(wait_for: Wait
         return b"" if len(payloads) == 2 else _ack("duplicate")
 
     InProcessBus(exchange).answer("k", deaf_twice)
-    with _spool(exchange, 1000, tally) as (spool, _):
-        spool.put(_segment(0), 1.0)
-        wait_for(lambda: spool.answered == 1, "an answer")
+    with _outbox(exchange, 1000, metrics) as (outbox, _):
+        outbox.put(_segment(0), 1.0)
+        wait_for(lambda: outbox.answered == 1, "an answer")
     assert payloads == [payloads[0]] * 3
-    assert tally.total("retries") == 2
-    assert tally.snapshot()["counters"]["acks"] == {"duplicate": 1.0}
+    assert total(metrics.retries) == 2
+    assert total(metrics.acks) == total(metrics.acks.labels("duplicate")) == 1
 
 
-def test_a_full_spool_takes_nothing_until_the_learner_is_back(wait_for: WaitFor) -> None:
+def test_a_full_outbox_takes_nothing_until_the_learner_is_back(wait_for: WaitFor) -> None:
     exchange = Exchange()
-    with _spool(exchange, 10, Tally()) as (spool, _):
-        assert spool.put(_segment(0), 0.01)
-        assert spool.put(_segment(1), 0.01)
-        assert not spool.put(_segment(2), 0.01)  # 12 steps do not fit into 10
-        assert spool.steps == 8
+    with _outbox(exchange, 10, ActorMetrics()) as (outbox, _):
+        assert outbox.put(_segment(0), 0.01)
+        assert outbox.put(_segment(1), 0.01)
+        assert not outbox.put(_segment(2), 0.01)  # 12 steps do not fit into 10
+        assert outbox.steps == 8
         InProcessBus(exchange).answer("k", lambda _: _ack())
-        assert spool.put(_segment(2), 10.0)
-        wait_for(lambda: spool.answered == 3, "3 answers")
+        assert outbox.put(_segment(2), 10.0)
+        wait_for(lambda: outbox.answered == 3, "3 answers")
 
 
 def test_a_learner_that_is_behind_is_sent_one_segment_at_a_time(wait_for: WaitFor) -> None:
     exchange = Exchange()
     InProcessBus(exchange).answer("k", lambda _: _ack(wait_s=30.0))
-    with _spool(exchange, 1000, Tally()) as (spool, _):
-        assert spool.put(_segment(0), 1.0)
-        wait_for(lambda: spool.answered == 1, "the answer")
-        assert spool.put(_segment(1), 1.0)
-        assert not spool.put(_segment(2), 0.01)
+    with _outbox(exchange, 1000, ActorMetrics()) as (outbox, _):
+        assert outbox.put(_segment(0), 1.0)
+        wait_for(lambda: outbox.answered == 1, "the answer")
+        assert outbox.put(_segment(1), 1.0)
+        assert not outbox.put(_segment(2), 0.01)
 
 
-def test_a_spool_is_narrowed_but_never_beyond_what_it_was_made_for() -> None:
-    with _spool(Exchange(), 10, Tally()) as (spool, _):
-        spool.narrow(4)
-        assert spool.put(_segment(0), 0.01)
-        assert not spool.put(_segment(1), 0.01)
-        spool.narrow(100)
-        assert spool.put(_segment(1), 0.01)
-        assert not spool.put(_segment(2), 0.01)
+def test_a_outbox_is_narrowed_but_never_beyond_what_it_was_made_for() -> None:
+    with _outbox(Exchange(), 10, ActorMetrics()) as (outbox, _):
+        outbox.narrow(4)
+        assert outbox.put(_segment(0), 0.01)
+        assert not outbox.put(_segment(1), 0.01)
+        outbox.narrow(100)
+        assert outbox.put(_segment(1), 0.01)
+        assert not outbox.put(_segment(2), 0.01)
 
 
-def test_a_segment_larger_than_the_spool_still_fits_when_it_is_empty() -> None:
-    with _spool(Exchange(), 10, Tally()) as (spool, _):
-        assert spool.put(_segment(0, steps=50), 0.01)
-        assert not spool.put(_segment(1, steps=1), 0.01)
+def test_a_segment_larger_than_the_outbox_still_fits_when_it_is_empty() -> None:
+    with _outbox(Exchange(), 10, ActorMetrics()) as (outbox, _):
+        assert outbox.put(_segment(0, steps=50), 0.01)
+        assert not outbox.put(_segment(1, steps=1), 0.01)
 
 
 def test_closing_sends_what_waits_within_its_time() -> None:
@@ -125,18 +125,18 @@ def test_closing_sends_what_waits_within_its_time() -> None:
         return _ack()
 
     InProcessBus(exchange).answer("k", slow)
-    spool = Spool(InProcessBus(exchange), "k", 1000, lambda _: None, lambda: None, Tally())
+    outbox = Outbox(InProcessBus(exchange), "k", 1000, lambda _: None, lambda: None, ActorMetrics())
     for seq in range(5):
-        spool.put(_segment(seq), 1.0)
+        outbox.put(_segment(seq), 1.0)
     gate.set()
-    assert spool.close(10.0) == 0
-    assert spool.answered == 5
+    assert outbox.close(10.0) == 0
+    assert outbox.answered == 5
 
 
 def test_closing_waits_for_no_learner_that_is_gone_and_counts_what_was_never_answered() -> None:
-    tally = Tally()
-    spool = Spool(InProcessBus(Exchange()), "k", 1000, lambda _: None, lambda: None, tally)
+    metrics = ActorMetrics()
+    outbox = Outbox(InProcessBus(Exchange()), "k", 1000, lambda _: None, lambda: None, metrics)
     for seq in range(3):
-        spool.put(_segment(seq), 1.0)
-    assert spool.close(1e6) == 3
-    assert tally.snapshot()["counters"]["dropped_transitions"] == {"shutdown": 12.0}
+        outbox.put(_segment(seq), 1.0)
+    assert outbox.close(1e6) == 3
+    assert total(metrics.dropped) == total(metrics.dropped.labels("shutdown")) == 12

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
@@ -21,11 +21,14 @@ MakeNotice = Callable[..., Notice]
 
 
 def _rollout(
-    env_id: str, num_envs: int, tally: Tally | None = None, troubles: Troubles | None = None
+    env_id: str,
+    num_envs: int,
+    metrics: ActorMetrics | None = None,
+    troubles: Troubles | None = None,
 ) -> Rollout:
     config = EnvConfig(env_id=f"a2s_test_envs:{env_id}-v0")
     environments = [Environment(config) for _ in range(num_envs)]
-    return Rollout("tester", environments, 0, tally or Tally(), troubles or Troubles())
+    return Rollout("tester", environments, 0, metrics or ActorMetrics(), troubles or Troubles())
 
 
 def _never() -> bool:
@@ -107,7 +110,7 @@ def test_the_same_seed_plays_the_same(make_graph: MakeGraph, make_notice: MakeNo
 
     def play() -> list[Segment]:
         environments = [Environment(EnvConfig(env_id="Hopper-v5")) for _ in range(3)]
-        rollout = Rollout("tester", environments, 7, Tally(), Troubles())
+        rollout = Rollout("tester", environments, 7, ActorMetrics(), Troubles())
         return list(rollout.play(Suggester(graph), make_notice(quota_steps=60), _never))
 
     for one, other in zip(play(), play(), strict=True):
@@ -120,8 +123,8 @@ def test_a_step_with_a_reward_that_is_no_number_is_dropped_counted_and_made_up_f
     make_graph: MakeGraph, make_notice: MakeNotice
 ) -> None:
     """The third reward of each episode is none: episodes are cut before it, and the quota met."""
-    tally, troubles = Tally(), Troubles()
-    rollout = _rollout("NanReward", 1, tally, troubles)
+    metrics, troubles = ActorMetrics(), Troubles()
+    rollout = _rollout("NanReward", 1, metrics, troubles)
     segments = list(rollout.play(Suggester(make_graph()), make_notice(quota_steps=7), _never))
     assert [s.obs.tolist() for s in segments] == [
         [[0, 0], [0, 1]], [[1, 0], [1, 1]], [[2, 0], [2, 1]], [[3, 0]],
@@ -129,7 +132,7 @@ def test_a_step_with_a_reward_that_is_no_number_is_dropped_counted_and_made_up_f
     assert [s.final_obs.tolist() for s in segments[:3]] == [[0, 2], [1, 2], [2, 2]]
     assert [s.truncated for s in segments] == [True, True, True, False]
     assert [s.episode_return for s in segments] == [3.0, 3.0, 3.0, 1.0]
-    assert tally.snapshot()["counters"]["dropped_transitions"] == {"malformed": 3.0}
+    assert total(metrics.dropped) == total(metrics.dropped.labels("malformed")) == 3
     assert troubles.dropped_steps == 3
     assert troubles.latest == (
         "environment a2s_test_envs:NanReward-v0: reward is nan, 3 transitions dropped"

@@ -5,7 +5,7 @@ from itertools import repeat
 
 import pytest
 
-from a2s.actors.weights_client import Newest
+from a2s.actors.weights_client import WeightsClient
 from a2s.protocol.codec import encode
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
@@ -44,65 +44,65 @@ def learner(exchange: Exchange) -> _Learner:
 
 
 @pytest.fixture
-def newest(exchange: Exchange, learner: _Learner, make_notice: MakeNotice) -> Newest:
+def client(exchange: Exchange, learner: _Learner, make_notice: MakeNotice) -> WeightsClient:
     """One that knows version 15 of generation 2."""
-    newest = Newest(InProcessBus(exchange), KEYS)
+    client = WeightsClient(InProcessBus(exchange), KEYS)
     learner.asked = repeat(make_notice(generation=2, version=15))
-    assert _see(newest, None) == (2, 15)
-    return newest
+    assert _see(client, None) == (2, 15)
+    return client
 
 
-def _see(newest: Newest, known: Notice | None) -> tuple[int, int] | None:
+def _see(client: WeightsClient, known: Notice | None) -> tuple[int, int] | None:
     looks = iter([True] * 3)
-    found = newest.other_than(known, lambda: next(looks, False))
+    found = client.other_than(known, lambda: next(looks, False))
     return None if found is None else found.identity
 
 
 def test_a_late_announcement_is_not_seen(
-    newest: Newest, learner: _Learner, make_notice: MakeNotice
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice
 ) -> None:
     learner.announce(make_notice(generation=2, version=14))
     learner.announce(make_notice(generation=1, version=99))
-    assert _see(newest, None) == (2, 15)
+    assert _see(client, None) == (2, 15)
     learner.announce(make_notice(generation=2, version=16))
-    assert _see(newest, None) == (2, 16)
+    assert _see(client, None) == (2, 16)
 
 
 @pytest.mark.parametrize("identity", [(2, 3), (1, 40), (3, 1)])
 def test_who_waits_believes_the_answer_of_a_learner_without_the_past(
-    newest: Newest, learner: _Learner, make_notice: MakeNotice, identity: tuple[int, int]
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice, identity: tuple[int, int]
 ) -> None:
     generation, version = identity
     learner.asked = repeat(make_notice(generation=generation, version=version))
-    assert _see(newest, make_notice(generation=2, version=15)) == identity
+    assert _see(client, make_notice(generation=2, version=15)) == identity
 
 
 def test_an_answer_does_not_hide_what_was_announced_while_it_was_on_its_way(
-    newest: Newest, learner: _Learner, make_notice: MakeNotice
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice
 ) -> None:
     known = make_notice(generation=2, version=15)
     learner.meanwhile = lambda: learner.announce(make_notice(generation=2, version=16))
-    assert _see(newest, known) == (2, 16)
+    assert _see(client, known) == (2, 16)
 
 
 @pytest.mark.parametrize("version", [3, 16])
 def test_an_acknowledgement_of_other_weights_has_them_asked_for(
-    newest: Newest, learner: _Learner, make_notice: MakeNotice, version: int
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice, version: int
 ) -> None:
     learner.asked = repeat(make_notice(generation=2, version=version))
-    assert _see(newest, None) == (2, 15)
+    assert _see(client, None) == (2, 15)
     ack = Ack(
         verdict="refused", reason="", generation=2, epoch=0, weights_version=version, wait_s=0.0
     )
-    newest.hear(ack)
-    assert _see(newest, None) == (2, version)
+    client.hear(ack)
+    assert _see(client, None) == (2, version)
 
 
 def test_what_is_forgotten_is_asked_for(
-    newest: Newest, learner: _Learner, make_notice: MakeNotice
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice
 ) -> None:
     """A notice of no learner is gone then."""
     learner.announce(make_notice(generation=999, version=1))
-    assert _see(newest, None) == (999, 1)
-    newest.forget()
-    assert _see(newest, None) == (2, 15)
+    assert _see(client, None) == (999, 1)
+    client.forget()
+    assert _see(client, None) == (2, 15)

@@ -69,6 +69,7 @@ def test_without_a_baseline_there_is_no_ratio(monkeypatch: pytest.MonkeyPatch) -
         ("replay", ["uniform sample: a2s, files", "open 1,000,000 rows"]),
     ],
 )
+@pytest.mark.slow
 @pytest.mark.timeout(300)  # every contender compiles what it needs
 def test_every_suite_measures_something(suite: str, names: list[str]) -> None:
     options = ["--rounds", "1", "--seconds", "0", "--json"]

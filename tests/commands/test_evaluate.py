@@ -1,12 +1,10 @@
 """Evaluation: fresh episodes, the same again for the same seed, from a run or from a file."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from a2s import cli
 from a2s.commands.evaluate import evaluate_run
 from a2s.protocol.errors import UsageError
 
@@ -74,15 +72,11 @@ def test_a_file_that_is_no_policy_is_refused(tmp_path: Path) -> None:
 
 
 def test_returns_of_any_size_can_be_told_apart(
-    policy: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    policy: Path, a2s: Callable[..., tuple[int, str, str]]
 ) -> None:
     """Rewards of a millionth: 15e-6, not 0.0; and of one: 15.0."""
-    for env_id, said in (("CountTiny-v0", "1.5e-05 +- 0.0"), ("Count-v0", "15.0 +- 0.0")):
-        options = ["--env", f"a2s_test_envs:{env_id}", "--episodes", "2"]
-        monkeypatch.setattr(sys, "argv", ["a2s", "evaluate", str(policy), *options])
-        with pytest.raises(SystemExit):
-            cli.main()
-        value = said.split()[0]
-        assert capsys.readouterr().out == (
-            f"a2s_test_envs:{env_id}: {said} over 2 episodes (mean); from {value} to {value}\n"
+    for name, mean in (("CountTiny-v0", "1.5e-05"), ("Count-v0", "15.0")):
+        env = f"a2s_test_envs:{name}"
+        assert a2s("evaluate", policy, "--env", env, "--episodes", 2)[1] == (
+            f"{env}: {mean} +- 0.0 over 2 episodes (mean); from {mean} to {mean}\n"
         )

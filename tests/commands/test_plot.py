@@ -1,12 +1,11 @@
 """Curves: the mean over seeds with a moving average of three, from runs as they are written."""
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from a2s import cli
 from a2s.commands.plot import identity, on_a_grid, plot, smooth
 from a2s.protocol.errors import UsageError
 
@@ -102,23 +101,23 @@ def test_an_off_policy_run_is_called_by_its_own_preset(tmp_path: Path) -> None:
 
 
 def test_runs_that_cannot_be_drawn_are_left_out_and_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, a2s: Callable[..., tuple[int, str, str]]
 ) -> None:
     """The others are in the picture; it is no failure."""
     good = _run(tmp_path / "a", [(10, 1.0), (20, 2.0)])
-    empty, none = _run(tmp_path / "b", []), tmp_path / "c"
-    picture = tmp_path / "curves.png"
-    arguments = ["a2s", "plot", *map(str, (empty, good, none)), "-o", str(picture)]
-    monkeypatch.setattr(sys, "argv", arguments)
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert not ended.value.code
-    said = capsys.readouterr()
-    assert said.out == f"{picture}\n"
-    first, second = said.err.splitlines()
+    empty, none, damaged = _run(tmp_path / "b", []), tmp_path / "c", _run(tmp_path / "d", [])
+    with (damaged / "episodes.csv").open("a") as file:
+        file.write("0,ten,0,1,2.0,5,1\n")
+    code, out, err = a2s("plot", empty, good, none, damaged, "-o", "curves.png")
+    assert (code, out) == (0, "curves.png\n")
+    first, second, third = err.splitlines()
     assert first == f"a2s: left out: {empty}/episodes.csv: no episode has ended yet"
     assert second.startswith(f"a2s: left out: {none}: is not a run directory, no usable config")
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert third.startswith(f"a2s: left out: {damaged}/episodes.csv: cannot be read as the episod")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    code, _, err = a2s("plot", empty, "-o", "none.png")
+    assert (code, err) == (2, f"a2s: {empty}/episodes.csv: no episode has ended yet\n")
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_a_seed_that_begins_where_another_ends_is_drawn_too() -> None:
@@ -130,8 +129,6 @@ def test_a_seed_that_begins_where_another_ends_is_drawn_too() -> None:
     assert np.allclose(returns, [[1.0], [5.0]])
 
 
-def test_a_run_without_an_episode_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no episode has ended yet"):
-        plot([_run(tmp_path / "a", [])], tmp_path / "x.png")
+def test_a_picture_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"curves.nope"):
         plot([_run(tmp_path / "b", [(1, 1.0)])], tmp_path / "curves.nope")

@@ -42,6 +42,7 @@ def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) ->
     assert [file.name for file in tmp_path.iterdir()] == ["lock"]
 
 
+@pytest.mark.slow
 def test_a_learner_that_cannot_begin_has_the_last_word(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,7 +5,6 @@ import math
 import os
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import time
 import urllib.parse
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -24,8 +23,7 @@ import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
 
-# One group: they share one Prometheus.
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.xdist_group("prometheus")]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 T = TypeVar("T")
 REQUIRE = "A2S_REQUIRE_PROMETHEUS"
@@ -80,31 +78,21 @@ def free_port() -> int:
 
 
 @contextmanager
-def started(command: list[str], log: Path, expected_code: int) -> Iterator[Callable[[], str]]:
-    """Run a program; gives what reads its words so far, and ends it with SIGTERM."""
-    with log.open("w") as out:
-        process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=log.parent)
-
-    def words() -> str:
-        assert process.poll() is None, f"{command[:4]} ended: {log.read_text()}"
-        return log.read_text()
-
-    try:
-        yield words
-    finally:
-        process.send_signal(signal.SIGTERM)
+def started(command: list[str], log: Path) -> Iterator[None]:
+    """Run a program until the end of the block."""
+    with (
+        log.open("w") as out,
+        subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=log.parent) as process,
+    ):
         try:
-            code = process.wait(timeout=60)
+            yield
         finally:
-            process.kill()
-            process.wait()
-    assert code == expected_code, log.read_text()
+            process.terminate()
 
 
-def serving(words: Callable[[], str]) -> str:
+def serving(log: Path) -> str:
     """Where a command says that its metrics are."""
-    found = until(lambda: re.search(r"metrics +(http://\S+)", words()), "the port of the metrics")
-    return found[1]
+    return until(lambda: re.search(r"metrics +(http://\S+)", log.read_text()), f"port in {log}")[1]
 
 
 def configuration(deployed: Path, targets: dict[str, str]) -> dict[str, Any]:
@@ -138,37 +126,32 @@ def watched(
 ) -> Iterator[Watched]:
     """A run of two workers with small batches, watched with the deployed configuration."""
     folder = tmp_path_factory.mktemp("watched")
-    a2s = [sys.executable, "-m", "a2s.cli"]
     endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
-    run = ["--run", "watched", "--metrics-port", "0"]
     small = ["--set", "batch_steps=256", "--set", "first_batch_steps=256", "--envs", "2"]
     size = ["--env", "InvertedPendulum-v5", "--total-steps", "100000000", "--n", "2", *small]
     place = ["--listen", endpoint, "--run-dir", str(folder / "run")]
+    config, server = folder / "prometheus.yml", f"127.0.0.1:{port}"
+    commands = {"learner": [*size, *place], "actor": ["--n", "2", "--connect", endpoint]}
     with ExitStack() as stack:
-
-        def start(command: list[str], log: str, code: int) -> Callable[[], str]:
-            return stack.enter_context(started(command, folder / log, code))
-
-        learner = serving(start([*a2s, "learner", *run, *size, *place], "learner.log", 130))
-        actor = serving(
-            start([*a2s, "actor", *run, "--n", "2", "--connect", endpoint], "actor.log", 130)
-        )
-        config = folder / "prometheus.yml"
-        targets = {"a2s-learner": learner, "a2s-actor": actor}
+        addresses = {}
+        for name, options in commands.items():
+            command = [sys.executable, "-m", "a2s.cli", name, "--run", "watched", *options]
+            log = folder / f"{name}.log"
+            stack.enter_context(started([*command, "--metrics-port", "0"], log))
+            addresses[f"a2s-{name}"] = serving(log)
         deployed = root / "deploy/prometheus/prometheus.yml"
-        config.write_text(yaml.safe_dump(configuration(deployed, targets)))
+        config.write_text(yaml.safe_dump(configuration(deployed, addresses)))
         subprocess.run([promtool, "check", "config", str(config)], check=True, timeout=30)
-        server = ["prometheus", f"--config.file={config}", f"--storage.tsdb.path={folder / 'tsdb'}"]
-        server += [f"--web.listen-address=127.0.0.1:{port}", "--log.level=warn"]
-        words = start(server, "prometheus.log", 0)
-        watched = Watched(learner, actor, f"http://127.0.0.1:{port}/api/v1")
+        files = [f"--config.file={config}", f"--storage.tsdb.path={folder / 'tsdb'}"]
+        command = ["prometheus", *files, f"--web.listen-address={server}", "--log.level=warn"]
+        stack.enter_context(started(command, folder / "prometheus.log"))
+        learner, actor = addresses["a2s-learner"], addresses["a2s-actor"]
+        watched = Watched(learner, actor, f"http://{server}/api/v1")
 
         def all_up() -> bool:
-            words()
-            try:
+            with suppress(OSError):
                 return [s["value"][1] for s in watched.query("up")] == ["1", "1"]
-            except OSError:
-                return False
+            return False
 
         until(all_up, "both targets to be up")
         yield watched
@@ -244,31 +227,24 @@ def test_the_learner_names_its_run_and_the_configuration_labels_the_rest(watched
     assert info["metric"]["env_id"] == "InvertedPendulum-v5"
     others = watched.query('{__name__=~"a2s_(learner|actor|build).*"}')
     assert {one["metric"].get("run") for one in others} == {"default"}
-
-
-def test_one_target_has_all_workers_of_an_actor(watched: Watched) -> None:
-    """Whatever ``--n`` is: two workers behind one port."""
+    # One target has all workers of an actor, whatever --n is.
     query = "count by (job, instance) (a2s_actor_worker_up == 1)"
     (target,) = until(lambda: watched.query(query), query)
     assert target["value"][1] == "2"
 
 
-def test_promtool_accepts_what_is_served(promtool: str, watched: Watched) -> None:
-    """Names, units, types and help texts."""
+def test_what_is_served_is_as_promtool_and_the_manual_want_it(
+    promtool: str, watched: Watched, documented: dict[str, Any]
+) -> None:
+    """Names, units, types, help texts, and the labels of every series of both targets."""
     for url in (watched.learner, watched.actor):
+        served = read(url)
         check = subprocess.run(
-            [promtool, "check", "metrics"], input=read(url), text=True, capture_output=True,
+            [promtool, "check", "metrics"], input=served, text=True, capture_output=True,
             timeout=30, check=False,
         )  # fmt: skip
         assert (check.returncode, check.stderr) == (0, ""), url
-
-
-def test_what_is_served_has_the_labels_of_the_manual(
-    watched: Watched, documented: dict[str, Any]
-) -> None:
-    """Of every series of both targets; ``le`` is a histogram's own."""
-    for url in (watched.learner, watched.actor):
-        for family in text_string_to_metric_families(read(url)):
+        for family in text_string_to_metric_families(served):
             for sample in family.samples:
                 part = re.sub(r"_(bucket|sum|count)$", "", sample.name)
                 row = documented[part if family.type == "histogram" else sample.name]

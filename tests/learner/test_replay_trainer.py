@@ -1,48 +1,37 @@
 """A learner without actors keeps only what can be gone on with."""
 
 import dataclasses
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from segments import segment
 
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.learner import Learner
+from a2s.learner.make import make_replay_learner
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
-from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import checkpoint
 from a2s.learner.run.config import assemble
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import PlainView
 from a2s.protocol.errors import A2SError, RunDirectoryError, UnreachableError, UsageError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Segment
 
-SPACES = Spaces(
-    obs_size=3,
-    action_low=np.full(2, -1, dtype=np.float32),
-    action_high=np.full(2, 1, dtype=np.float32),
-)
+SPACES = Spaces(obs_size=3, action_low=-np.ones(2, np.float32), action_high=np.ones(2, np.float32))
 SMALL = {"critic_sizes": "8", "policy_sizes": "8", "batch_rows": "8", "warm_up_steps": "8"}
 
 
 def replay(reward: float, spaces: Spaces = SPACES) -> Replay:
     """Twenty steps with the same reward."""
     made = Replay.in_memory("Test-v0", spaces, 100)
-    size = spaces.obs_size
-    rng = np.random.default_rng(0)
-    made.insert(
-        Segment(
-            actor="a", seq=0, generation=1, epoch=0, weights_version=1, env=0,
-            obs=rng.standard_normal((20, size)).astype(np.float32),
-            suggestion=rng.uniform(-1, 1, (20, 2)).astype(np.float32),
-            log_prob=np.zeros(20, np.float32), reward=np.full(20, reward, np.float32),
-            final_obs=np.zeros(size, np.float32), terminated=True, truncated=False,
-            episode_return=0.0, episode_length=20,
-        )
-    )  # fmt: skip
+    rewards = np.full(20, reward, np.float32)
+    sizes = {"obs_size": spaces.obs_size, "action_size": 2}
+    made.insert(segment(0, 20, reward=rewards, terminated=True, **sizes))
     return made
 
 
@@ -54,25 +43,30 @@ def learner(
     updates: int = 100,
     resume: bool = False,
     **changed: str,
-) -> FromReplay:
+) -> Learner:
     """Learn for some updates, from twenty transitions."""
     options = {"variant": "off-policy", "preset": "sac", "total_steps": updates}
-    return FromReplay(
+    return make_replay_learner(
         configuration=assemble(options, SMALL | changed),
         spaces=spaces,
-        source=source,
+        replay=source,
         size=lambda: 20,
-        most=20,
+        max_size=20,
         path=path,
         metrics=LearnerMetrics(),
+        view=PlainView(io.StringIO()),
         resume=resume,
     )
 
 
-def test_no_more_is_waited_for_than_can_come(tmp_path: Path) -> None:
+def test_no_more_is_waited_for_than_can_come_and_the_end_is_kept(tmp_path: Path) -> None:
     """Twenty transitions of a hundred that a learner with actors would wait for."""
     summary = learner(tmp_path, replay(1.0), warm_up_steps="100").run(lambda: False)
-    assert summary["updates"] == 100
+    assert (summary["updates"], summary["env_steps"], summary["finished"]) == (100, 100, True)
+    assert {p.name for p in (tmp_path / "checkpoints").iterdir()} == {"00000000", "00000100"}
+    header, row = (tmp_path / "updates.csv").read_text().splitlines()
+    assert header.startswith("update,wall_s,env_steps,weights_version,epoch,replay_rows,q_loss,")
+    assert (row.split(",")[0], *row.split(",")[2:6]) == ("100", "100", "100", "0", "20")
 
 
 def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
@@ -94,12 +88,6 @@ def test_weights_that_are_no_numbers_are_not_kept(tmp_path: Path) -> None:
         ).run(lambda: False)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["00000000"]
     assert learner(tmp_path, replay(1.0), resume=True).run(lambda: False)["updates"] == 100
-
-
-def test_the_end_is_kept(tmp_path: Path) -> None:
-    summary = learner(tmp_path, replay(1.0)).run(lambda: False)
-    assert (summary["updates"], summary["finished"]) == (100, True)
-    assert {p.name for p in (tmp_path / "checkpoints").iterdir()} == {"00000000", "00000100"}
 
 
 def test_what_was_not_begun_cannot_be_resumed(tmp_path: Path) -> None:

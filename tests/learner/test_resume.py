@@ -7,6 +7,7 @@ import pytest
 
 from a2s.actors.environments.environment import Environment
 from a2s.learner.learner import Learner
+from a2s.learner.make import make_learner
 from a2s.learner.run.config import assemble
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import PlainView
@@ -19,7 +20,7 @@ ROW = "1000.000,8,0,1,2.5,8,0\r\n"
 
 
 def _learner(path: Path, *, resume: bool) -> Learner:
-    return Learner(
+    return make_learner(
         configuration=assemble({"env": ENV}, {}),
         spaces=Environment(EnvConfig(env_id=ENV)).spaces,
         layout=(),

@@ -21,6 +21,7 @@ from gymnasium import spaces
 
 Obs = npt.NDArray[Any]
 Step = tuple[Obs, float, bool, bool, dict[str, Any]]
+Change = Callable[[Any], Any]
 
 
 class Control(gymnasium.Env[Obs, Obs]):
@@ -51,24 +52,20 @@ class Control(gymnasium.Env[Obs, Obs]):
         self.at, self.last = 0, 0.0
 
     def obs(self) -> Obs:
-        """Time, the last action, and a wave."""
         numbers = np.array([self.at / 100, self.last, math.cos(self.at / 10)], dtype=np.float32)
         return (numbers.astype(np.float64) * self._scale + self._offset).astype(self._dtype)
 
     def begin(self) -> Obs:
-        """Begin an episode."""
         self.at, self.last = 0, 0.0
         return self.obs()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Obs, dict[str, Any]]:
-        """Begin an episode."""
         super().reset(seed=seed, options=options)
         return self.begin(), {}
 
     def step(self, action: Obs) -> Step:
-        """Reward closeness to 0.5."""
         self.at, self.last = self.at + 1, float(action.reshape(-1)[0])
         reward = -abs(self.last - 0.5) * self._reward_scale
         return self.obs(), reward, False, self.at == self.length, {}
@@ -82,7 +79,6 @@ class InPlace(Control):
         self._buffer = np.zeros(3, dtype=self._dtype)
 
     def obs(self) -> Obs:
-        """Fill the array."""
         self._buffer[:] = super().obs()
         return self._buffer
 
@@ -95,7 +91,6 @@ class View(Control):
         self._state = np.zeros((2, 6), dtype=np.float32)
 
     def obs(self) -> Obs:
-        """A view that is not even contiguous."""
         self._state[0, ::2] = super().obs()
         return self._state[0, ::2]
 
@@ -104,12 +99,10 @@ class SpoiltByReset(Control):
     """Its reset overwrites the observation that ended the last episode."""
 
     def obs(self) -> Obs:
-        """Remember what was given away."""
         self._given = super().obs()
         return self._given
 
     def begin(self) -> Obs:
-        """Spoil it."""
         if self.at:
             self._given[:] = -99.0
         return super().begin()
@@ -123,24 +116,30 @@ class RewardBuffer(Control):
         self._reward = np.zeros(1)
 
     def step(self, action: Obs) -> Any:
-        """Fill it."""
         obs, self._reward[0], *rest = super().step(action)
         return obs, self._reward, *rest
 
 
-class Form(Control):
-    """Gives what it gives in another form: see `_FORMS`."""
+class Changed(Control):
+    """Gives ``step`` of what its step should give, from the ``at``-th on, or ``reset`` of that."""
 
-    def __init__(self, form: str) -> None:
+    def __init__(
+        self, step: Change | None = None, reset: Change | None = None, at: int = 1
+    ) -> None:
         super().__init__()
-        self._form = _FORMS[form]
+        self._change_step, self._change_reset, self._before = step, reset, at
+
+    def reset(self, **_: Any) -> Any:
+        result: Any = self.begin(), {}
+        return self._change_reset(result) if self._change_reset else result
 
     def step(self, action: Obs) -> Any:
-        """Change the form."""
-        return self._form(super().step(action))
+        result = super().step(action)
+        self._before -= 1
+        return self._change_step(result) if self._change_step and self._before <= 0 else result
 
 
-_FORMS: dict[str, Callable[[Step], Any]] = {
+_FORMS: dict[str, Change] = {
     "reward of one": lambda s: (s[0], np.array([s[1]]), *s[2:]),
     "reward of one by one": lambda s: (s[0], np.array([[s[1]]]), *s[2:]),
     "reward without dimension": lambda s: (s[0], np.array(s[1]), *s[2:]),
@@ -160,7 +159,6 @@ class NoSeed(Control):
     """Its reset takes nothing."""
 
     def reset(self) -> Any:  # type: ignore[override]
-        """Begin an episode."""
         return self.begin(), {}
 
 
@@ -168,7 +166,6 @@ class OnlySeed(Control):
     """Its reset takes a seed, and no options."""
 
     def reset(self, seed: int | None = None) -> Any:  # type: ignore[override]
-        """Begin an episode."""
         return self.begin(), {}
 
 
@@ -176,7 +173,6 @@ class OnlyOptions(Control):
     """Its reset takes options, and no seed; what it gives is a list."""
 
     def reset(self, options: dict[str, Any] | None = None) -> Any:  # type: ignore[override]
-        """Begin an episode."""
         return [self.begin(), {}]
 
 
@@ -184,7 +180,6 @@ class MutatesAction(Control):
     """Clips and scales the action in the array that it was given."""
 
     def step(self, action: Obs) -> Step:
-        """Write into it."""
         result = super().step(action)
         action *= 0.0
         return result
@@ -198,7 +193,6 @@ class KeepsAction(Control):
         self._kept: list[tuple[Obs, float]] = []
 
     def step(self, action: Obs) -> Step:
-        """Compare what was kept with what it was."""
         self._kept.append((action, float(action[0])))
         if any(float(array[0]) != value for array, value in self._kept):
             raise AssertionError("somebody wrote into an action that was given away")
@@ -214,17 +208,14 @@ class Tolerated(InPlace):
         os.chdir(there)
 
     def reset(self) -> Any:  # type: ignore[override]
-        """Begin an episode."""
         return [self.begin(), {}]
 
     def step(self, action: Obs) -> Any:
-        """As an older library gave it."""
         obs, reward, terminated, truncated, info = super().step(action)
         action[:] = 7.0
         return obs[None, :], np.array([[reward]]), np.bool_(terminated), np.bool_(truncated), info
 
     def close(self) -> None:
-        """Fail."""
         raise RuntimeError("there is nothing to close")
 
 
@@ -237,7 +228,6 @@ class Slow(Control):
         self._reset_s = reset_s
 
     def begin(self) -> Obs:
-        """Take it."""
         time.sleep(self._reset_s)
         self._reset_s = 0.0
         return super().begin()
@@ -248,26 +238,17 @@ def register(name: str, entry: Any, **kwargs: Any) -> None:
     gymnasium.register(f"{name}-v0", entry_point=entry, kwargs=kwargs)
 
 
-FORMS = {
-    "Form" + "".join(word.capitalize() for word in form.split()): form for form in _FORMS
-}  # fmt: skip
-for _name, _form in FORMS.items():
-    register(_name, Form, form=_form)
+FORMS = {"Form" + form.title().replace(" ", ""): change for form, change in _FORMS.items()}
+for _name, _change in FORMS.items():
+    register(_name, Changed, step=_change)
 SAME_AS_CONTROL = (
     "InPlace", "InPlace64", "View", "SpoiltByReset", "RewardBuffer", *FORMS, "NoSeed", "OnlySeed",
     "OnlyOptions", "MutatesAction", "KeepsAction",
 )  # fmt: skip
-register("Control", Control)
-register("InPlace", InPlace)
+for _class in (
+    Control, InPlace, View, SpoiltByReset, RewardBuffer, NoSeed, OnlySeed, OnlyOptions,
+    MutatesAction, KeepsAction, Tolerated, Slow,
+):  # fmt: skip
+    register(_class.__name__, _class)
 register("InPlace64", InPlace, dtype="float64")
-register("View", View)
-register("SpoiltByReset", SpoiltByReset)
-register("RewardBuffer", RewardBuffer)
-register("NoSeed", NoSeed)
-register("OnlySeed", OnlySeed)
-register("OnlyOptions", OnlyOptions)
-register("MutatesAction", MutatesAction)
-register("KeepsAction", KeepsAction)
-register("Tolerated", Tolerated)
-register("Slow", Slow)
 register("Endless", Control, length=0)

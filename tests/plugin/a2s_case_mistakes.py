@@ -3,74 +3,30 @@
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from a2s_case_envs import Control, Obs, Step, register
-
-Change = Callable[[Any], Any]
+from a2s_case_envs import Change, Changed, Control, Obs, Step, register
 
 
-class WrongStep(Control):
-    """From its ``at``-th step on it gives ``change`` of what it should give."""
+class Failing(Control):
+    """Fails where and in the way that it is told."""
 
-    def __init__(self, change: Change, at: int = 1) -> None:
+    def __init__(self, where: str, how: str) -> None:
         super().__init__()
-        self._change, self._from, self._steps = change, at, 0
+        self._where, self._how = where, how
+        self._fail("make")
 
-    def step(self, action: Obs) -> Any:
-        """Give something else."""
-        result = super().step(action)
-        self._steps += 1
-        return self._change(result) if self._steps >= self._from else result
-
-
-class WrongReset(Control):
-    """Its reset gives ``change`` of what it should give."""
-
-    def __init__(self, change: Change) -> None:
-        super().__init__()
-        self._change = change
-
-    def reset(self, **_: Any) -> Any:
-        """Give something else."""
-        return self._change((self.begin(), {}))
-
-
-class FailingStep(Control):
-    """Fails in its ``at``-th step, in the way that it is told."""
-
-    def __init__(self, how: str, at: int = 1) -> None:
-        super().__init__()
-        self._how, self._from, self._steps = how, at, 0
-
-    def step(self, action: Obs) -> Step:
-        """Fail."""
-        self._steps += 1
-        if self._steps >= self._from:
-            fail(self._how)
-        return super().step(action)
-
-
-class FailingReset(Control):
-    """Fails in reset, in the way that it is told."""
-
-    def __init__(self, how: str) -> None:
-        super().__init__()
-        self._how = how
+    def _fail(self, where: str) -> None:
+        if where == self._where:
+            _FAILURES[self._how]()
 
     def begin(self) -> Obs:
-        """Fail."""
-        fail(self._how)
+        self._fail("reset")
         return super().begin()
 
-
-class FailingMake(Control):
-    """Fails when it is made, in the way that it is told."""
-
-    def __init__(self, how: str) -> None:
-        super().__init__()
-        fail(how)
+    def step(self, action: Obs) -> Step:
+        self._fail("step")
+        return super().step(action)
 
 
 class NeedsPath(Control):
@@ -97,11 +53,6 @@ _FAILURES: dict[str, Callable[[], object]] = {
     "interrupt": lambda: _raise(KeyboardInterrupt()),
     "abort": os.abort,
 }
-
-
-def fail(how: str) -> None:
-    """Fail in one of these ways."""
-    _FAILURES[how]()
 
 
 def line_of(how: str) -> int:
@@ -175,13 +126,12 @@ RAISED = {
     "exit": r"SystemExit: 3",
 }
 for _name, (_change, _) in STEPS.items():
-    register(_name, WrongStep, change=_change)
+    register(_name, Changed, step=_change)
 for _name, (_change, _) in RESETS.items():
-    register(_name, WrongReset, change=_change)
-register("FourValuesLater", WrongStep, change=STEPS["FourValues"][0], at=330)
+    register(_name, Changed, reset=_change)
+register("FourValuesLater", Changed, step=STEPS["FourValues"][0], at=330)
 for _how in _FAILURES:
-    _name = "".join(_how.title().split())
-    register(f"FailingStep{_name}", FailingStep, how=_how)
-    register(f"FailingReset{_name}", FailingReset, how=_how)
-    register(f"FailingMake{_name}", FailingMake, how=_how)
+    for _where in ("make", "reset", "step"):
+        _name = f"Failing{_where.title()}{_how.title().replace(' ', '')}"
+        register(_name, Failing, where=_where, how=_how)
 register("NeedsPath", NeedsPath)

@@ -39,7 +39,6 @@ class Strict(Control):
         self._notes = notes
 
     def step(self, action: Obs) -> Step:
-        """Look at it as closely as possible."""
         if action.dtype != self._low.dtype or action.shape != self._low.shape:
             raise AssertionError(f"found {action.dtype} {action.shape}")
         if not ((self._low <= action) & (action <= self._high)).all():
@@ -60,11 +59,9 @@ class Matrix(Control):
         self.action_space = spaces.Box(low, np.full((2, 2), 5.0), dtype=np.float64)
 
     def obs(self) -> Obs:
-        """Rows of what was done."""
         return np.array([[self.at, self.last], [2.0, 3.0]])
 
     def step(self, action: Obs) -> Step:
-        """Expect two by two."""
         if action.shape != (2, 2):
             raise AssertionError(f"found an action of shape {action.shape}")
         return super().step(action)
@@ -84,7 +81,6 @@ class Composite(Control):
         )
 
     def obs(self) -> Any:
-        """Numbers that show their place."""
         return {
             "velocity": np.array([0.25, -0.5]),
             "gear": 1 + self.at % 3,
@@ -102,11 +98,9 @@ class Inexact(Control):
         self.observation_space = spaces.Dict({"only": box}) if nested else box
 
     def obs(self) -> Any:
-        """Fractions."""
         return {"only": super().obs()} if self._nested else super().obs()
 
     def step(self, action: Obs) -> Any:
-        """An array as the reward."""
         obs, reward, *rest = super().step(action)
         return obs, np.array([reward]), *rest
 
@@ -127,7 +121,6 @@ class NoClass(Control):
             self.observation_space = spaces.MultiDiscrete([3, 3])
 
     def obs(self) -> Any:
-        """In step 2."""
         if self._space == "masked":
             return np.ma.masked_array(super().obs(), mask=[False, self.at == 2, False])
         index = -1 if self.at == 2 else 2
@@ -142,7 +135,6 @@ class Named(Control):
         self.told = max_episode_steps, id
 
     def reset(self, **kwargs: Any) -> Any:
-        """Have no room for more than 31 bits."""
         assert (kwargs["seed"] or 0) < 2**31
         return super().reset(**kwargs)
 
@@ -171,7 +163,6 @@ class Broken(Control):
         self._steps = 0
 
     def step(self, action: Obs) -> Step:
-        """Break it now and then."""
         obs, reward, terminated, truncated, info = super().step(action)
         self._steps += 1
         if self._steps % self._every == 0:
@@ -194,7 +185,6 @@ class Wide(Control):
         self._size = size
 
     def obs(self) -> Obs:
-        """One number for each step."""
         return np.full(self._size, self.at % 100 / 100, dtype=np.float32)
 
 
@@ -208,12 +198,10 @@ class GlobalRandom(Control):
             self._gain = np.random.uniform(0.5, 1.5) * random.uniform(0.5, 1.5)  # noqa: NPY002
 
     def begin(self) -> Obs:
-        """Draw the beginning."""
         self._phase = random.random() + np.random.normal()  # noqa: NPY002
         return super().begin()
 
     def obs(self) -> Obs:
-        """Draw noise."""
         noise = np.random.normal(size=3) * 0.1 + random.gauss(0.0, 0.1)  # noqa: NPY002
         return (super().obs() * self._gain + self._phase + noise).astype(np.float32)
 
@@ -222,7 +210,6 @@ class NoSeedRandom(GlobalRandom):
     """The same, with a reset that takes no seed."""
 
     def reset(self) -> Any:  # type: ignore[override]
-        """Begin an episode."""
         return self.begin(), {}
 
 
@@ -234,12 +221,10 @@ class Success(Composite):
         self.length, self._episode = 50, 0
 
     def begin(self) -> Obs:
-        """Count."""
         self._episode += 1
         return super().begin()
 
     def step(self, action: Obs) -> Step:
-        """Every second episode is a success."""
         obs, reward, terminated, truncated, _ = super().step(action)
         info: dict[str, Any] = {
             "distance": np.float32(0.25), "words": "left", "reading": np.zeros(4),
@@ -283,12 +268,10 @@ class Shift(gymnasium.Wrapper[Obs, Obs, Obs, Obs]):
         self._by, self._times = np.float32(by), times
 
     def reset(self, **kwargs: Any) -> tuple[Obs, dict[str, Any]]:
-        """Shift the first."""
         obs, info = self.env.reset(**kwargs)
         return obs + self._by, info
 
     def step(self, action: Obs) -> Any:
-        """Shift the next."""
         obs, reward, *rest = self.env.step(action)
         return obs + self._by, float(reward) * self._times, *rest
 
@@ -330,14 +313,12 @@ BROKEN: dict[str, dict[str, Any]] = {
 }
 for _name, (_spaces, _) in UNSUPPORTED.items():
     register(_name, Spaces, **_spaces)
-register("Strict", Strict)
+for _class in (Strict, Matrix, Composite, Named, Wide, GlobalRandom, Success, Recorder):
+    register(_class.__name__, _class)
 register("StrictThird", Strict, low=-THIRD, high=THIRD)
 register("StrictSkewed", Strict, low=0.1, high=THIRD)
 register("Integers", Strict, low=-1, high=1, dtype="int32")
 register("IntegersUnsigned", Strict, low=0, high=3, dtype="uint8")
-register("Matrix", Matrix)
-register("Composite", Composite)
-register("Named", Named)
 for _space in ("discrete", "multi", "masked"):
     register(f"NoClass{_space.capitalize()}", NoClass, space=_space)
 register("Inexact", Inexact, nested=False)
@@ -348,11 +329,7 @@ register("BrokenAlways", Broken, every=1)
 for _ends in ("terminated", "truncated"):
     register(f"BrokenEnd{_ends.capitalize()}", Broken, ends=_ends)
     register(f"BrokenEnd{_ends.capitalize()}Inf", Broken, ends=_ends, value=np.inf)
-register("Wide", Wide)
 register("Wide4096", Wide, size=4096)
 register("Wide100000", Wide, size=100_000)
-register("GlobalRandom", GlobalRandom)
 register("StepRandom", GlobalRandom, made_by_chance=False)
 register("NoSeedRandom", NoSeedRandom, made_by_chance=False)
-register("Success", Success)
-register("Recorder", Recorder)

@@ -6,6 +6,7 @@ They print, start helpers that live on, hang, want to be alone, and cannot be cl
 import argparse
 import ctypes
 import fcntl
+import logging.config
 import multiprocessing
 import os
 import subprocess
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import psutil
 from a2s_case_envs import Control, Obs, Step, register
 
 AGES_S = 600.0  # longer than any test waits
@@ -33,12 +35,10 @@ class Noisy(Control):
         print("a word of the constructor")  # noqa: T201
 
     def begin(self) -> Obs:
-        """Print at the beginning of an episode."""
         print("an episode begins", flush=True)  # noqa: T201
         return super().begin()
 
     def step(self, action: Obs) -> Step:
-        """Print at every step, and now and then in another way."""
         self._steps += 1
         print(f"step {self._steps}")  # noqa: T201
         if self._steps % 40 == 0:
@@ -46,7 +46,6 @@ class Noisy(Control):
         return super().step(action)
 
     def close(self) -> None:
-        """Print once more."""
         print("a word of the end")  # noqa: T201
 
 
@@ -151,13 +150,11 @@ class Hangs(Control):
             return
 
     def begin(self) -> Obs:
-        """Do what is planned here."""
         if self._steps:
             self._do("reset-")
         return super().begin()
 
     def step(self, action: Obs) -> Step:
-        """Do what is planned here."""
         self._steps += 1
         if self._steps == 30:
             self._do("step-")
@@ -187,12 +184,10 @@ class HangsAlways(Control):
             time.sleep(AGES_S)
 
     def begin(self) -> Obs:
-        """Hang."""
         self._hang("reset")
         return super().begin()
 
     def close(self) -> None:
-        """Hang, or fail."""
         self._hang("close")
         if self._where == "raise in close":
             raise RuntimeError("there is nothing to close")
@@ -225,15 +220,6 @@ class Places(Control):
 _HELD: list[object] = []
 
 
-register("Noisy", Noisy)
-register("Helpers", Helpers)
-register("Hangs", Hangs)
-register("HangsAlways", HangsAlways)
-register("Places", Places)
-register("CloseRaises", HangsAlways, where="raise in close")
-register("CloseExits", HangsAlways, where="exit in close")
-
-
 class Spoils(Control):
     """Changes what belongs to the whole process in its tenth step, goes on, and says why it ends.
 
@@ -246,7 +232,6 @@ class Spoils(Control):
         self._how, self._steps = how, 0
 
     def step(self, action: Obs) -> Step:
-        """Spoil it, or end."""
         self._steps += 1
         if self._steps == 10:
             SPOILED[self._how]()
@@ -282,6 +267,35 @@ SPOILED: dict[str, Callable[[], object]] = {
 }
 
 
+class SilencesLogs(Control):
+    """Configures ``logging`` as if the process were its own, and fails in close."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        logging.config.dictConfig({"version": 1})  # disables all loggers there are
+        logging.basicConfig(handlers=[], level=logging.CRITICAL, force=True)
+        logging.disable(logging.CRITICAL)
+
+    def close(self) -> None:
+        raise RuntimeError("there is nothing to close")
+
+
+class Daemons(Control):
+    """Starts processes that end at once, and whose parents have ended before them.
+
+    It prints how many of them are zombies a while later.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        for _ in range(3):
+            code = "import os; os.setsid(); os.fork() and os._exit(0); os._exit(0)"
+            subprocess.run([sys.executable, "-c", code], check=True)
+        time.sleep(2.5)
+        children = psutil.Process().children()
+        print(f"{sum(c.status() == psutil.STATUS_ZOMBIE for c in children)} zombies")  # noqa: T201
+
+
 class Forks(Control):
     """Copies its process in the constructor and in steps; a copy ends by an exception."""
 
@@ -296,7 +310,6 @@ class Forks(Control):
         os.waitpid(pid, 0)
 
     def step(self, action: Obs) -> Step:
-        """Copy itself in the third step."""
         step = super().step(action)
         if self.at == 3:
             self._copy(RuntimeError("in a copy"))
@@ -315,7 +328,6 @@ class SlowResets(Control):
     """Each takes a while, and all of them together longer than one may."""
 
     def begin(self) -> Obs:
-        """Take a while."""
         time.sleep(0.15)
         return super().begin()
 
@@ -324,13 +336,14 @@ class Flood(Control):
     """Prints a thousand lines in each step."""
 
     def step(self, action: Obs) -> Step:
-        """Print."""
         print("a flood\n" * 1000)  # noqa: T201
         return super().step(action)
 
 
-register("Spoils", Spoils)
-register("Forks", Forks)
-register("ReadsArguments", ReadsArguments)
-register("SlowResets", SlowResets)
-register("Flood", Flood)
+for _class in (
+    Noisy, Helpers, Hangs, HangsAlways, Places, Spoils, SilencesLogs, Daemons, Forks,
+    ReadsArguments, SlowResets, Flood,
+):  # fmt: skip
+    register(_class.__name__, _class)
+register("CloseRaises", HangsAlways, where="raise in close")
+register("CloseExits", HangsAlways, where="exit in close")

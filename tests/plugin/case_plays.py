@@ -3,7 +3,7 @@
 import numpy as np
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
@@ -27,12 +27,12 @@ def play(
     steps: int = 250,
     episodes: int = 0,
     num_envs: int = 2,
-    tally: Tally | None = None,
+    metrics: ActorMetrics | None = None,
     seed: int = 0,
 ) -> list[Segment]:
     """Play a quota of steps, and of episodes, in environments with this id."""
     environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(num_envs)]
-    rollout = Rollout("tester", environments, seed, tally or Tally(), Troubles())
+    rollout = Rollout("tester", environments, seed, metrics or ActorMetrics(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=steps, quota_episodes=episodes, num_bytes=1,
         sha256="",

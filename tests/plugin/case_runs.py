@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from system_helpers import PATIENCE_S, rows
+from system_helpers import FAST, PATIENCE_S, rows
 
 # Without -P Python would look into the working directory first, which no installed a2s does.
 A2S = (sys.executable, "-P", "-m", "a2s.cli")
 SMALL = (
-    "--set", "batch_steps=256", "--set", "first_batch_steps=256", "--n", "1", "--envs", "2",
-    "--lockstep", "--seed", "3", "--total-steps", "1000", "--episodes", "2", "--metrics-port", "-1",
+    *FAST, "--n", "1", "--lockstep", "--seed", "3", "--total-steps", "1000", "--episodes", "2",
+    "--metrics-port", "-1",
 )  # fmt: skip
 OFF_POLICY = (
     "--variant", "off-policy", "--set", "critic_sizes=16,16", "--set", "policy_sizes=16,16",
     "--set", "batch_rows=32", "--set", "warm_up_steps=100", "--set", "send_every_steps=8",
     "--set", "replay_rows=20000", "--n", "1", "--envs", "2", "--lockstep", "--seed", "3",
-    "--total-steps", "600", "--episodes", "2", "--metrics-port", "-1",
+    "--total-steps", "400", "--episodes", "2", "--metrics-port", "-1",
 )  # fmt: skip
 
 

@@ -118,7 +118,7 @@ class PlainSac:
     """Soft actor-critic that starts from the networks of an `OffPolicy`."""
 
     def __init__(self, start: OffPolicy) -> None:
-        hyper, learned = start.hyper, start.learned
+        hyper, learned = start.hyper, start.train_state
         self.hyper = hyper
         self.normaliser = copy.deepcopy(learned.normaliser)
         (self.policy,) = modules(learned.policy)

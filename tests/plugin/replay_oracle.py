@@ -26,18 +26,12 @@ def make_segment(
     end: str = "",
     before: int = 0,
 ) -> Segment:
-    """Make a segment whose observations are known by their first number.
+    """Make a segment whose T observations are known by their first number, ``obs [T + 1]``.
 
-    Args:
-        obs: First number of each observation, the final one included, ``[T + 1]``.
-        reward: ``[T]``.
-        actor: Sender.
-        env: Environment of the sender.
-        seq: Number.
-        end: ``terminated``, ``truncated`` or nothing.
-        before: Steps of the episode before this segment.
+    ``before`` is the number of steps of the episode before it; ``end`` is ``terminated``,
+    ``truncated`` or empty.
     """
-    seen = np.array([[number, -number] for number in obs], np.float32)
+    vectors = np.array([[number, -number] for number in obs], np.float32)
     steps = len(reward)
     return Segment(
         actor=actor,
@@ -46,11 +40,11 @@ def make_segment(
         epoch=0,
         weights_version=0,
         env=env,
-        obs=seen[:-1],
-        suggestion=seen[:-1] * np.float32(0.5),
+        obs=vectors[:-1],
+        suggestion=vectors[:-1] * np.float32(0.5),
         log_prob=np.zeros(steps, np.float32),
         reward=np.array(reward, np.float32),
-        final_obs=seen[-1],
+        final_obs=vectors[-1],
         terminated=end == "terminated",
         truncated=end == "truncated",
         episode_return=0.0,

@@ -10,12 +10,12 @@ from replay_oracle import make_segment
 
 from a2s.learner.replay import directory
 
-MOST_STEPS = 7
+MAX_STEPS = 7
 
 
 def played(seq: int, begin: int) -> list[float]:
     """Observations of segment ``seq``, of which the first step is the ``begin``-th of all."""
-    return [float(begin + i) for i in range(1 + seq % MOST_STEPS + 1)]
+    return [float(begin + i) for i in range(1 + seq % MAX_STEPS + 1)]
 
 
 def main() -> None:

@@ -11,16 +11,16 @@ import psutil
 from prometheus_client.parser import text_string_to_metric_families
 
 FAST = (
-    "--set", "batch_steps=256", "--set", "first_batch_steps=256", "--envs", "2",
+    "--set", "batch_steps=256", "--set", "first_batch_steps=256", "--set", "critic_epochs=1",
+    "--set", "policy_epochs=1", "--envs", "2",
 )  # fmt: skip
 # Any batch worse than the best may lead to a recovery, and small batches of a policy that learns
 # nothing (its step is tiny) differ by chance: there will be some.
 OFTEN = (
     "--set", "batch_steps=64", "--set", "first_batch_steps=64", "--set", "learning_rate=1e-9",
-    "--set", "lr_rule=constant", "--set", "critic_epochs=1", "--set", "policy_epochs=1",
-    "--set", "recovery=invariant", "--set", "recovery_bias=0", "--set", "recovery_episodes=0",
-    "--set", "recovery_statistic=mean", "--set", "recovery_cool_down=0",
-    "--set", "recovery_offset=0",
+    "--set", "lr_rule=constant", "--set", "recovery=invariant", "--set", "recovery_bias=0",
+    "--set", "recovery_episodes=0", "--set", "recovery_statistic=mean",
+    "--set", "recovery_cool_down=0", "--set", "recovery_offset=0",
 )  # fmt: skip
 REACH = ("--env", "a2s_test_envs:Reach-v0")
 PATIENCE_S = 200.0  # for whole runs, on a busy machine too: only a failure takes so long

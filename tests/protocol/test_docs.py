@@ -13,15 +13,15 @@ import pytest
 
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.metadata import policy_metadata
-from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.own_replay import OwnReplay
 from a2s.learner.run.config import RunConfig
-from a2s.protocol.codec import MAX_BYTES, SCHEMA_VERSION, Message, decode, encode
+from a2s.protocol.codec import MAX_BYTES, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.fields import MOST_METRICS, Spaces
-from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
+from a2s.protocol.fields import MAX_METRICS, Spaces
+from a2s.protocol.keys import Keys
 from a2s.protocol.messages import (
-    MOST_PLAYED,
-    MOST_SUGGESTED,
+    MAX_PLAYED,
+    MAX_SUGGESTED,
     Ack,
     EpisodeMetric,
     Segment,
@@ -65,89 +65,48 @@ def written(hint: object) -> str:
 
 
 @pytest.mark.parametrize("kind", DESCRIBED)
-def test_the_table_of_a_message_has_exactly_its_fields_and_their_types(kind: type) -> None:
+def test_the_table_of_a_message_has_exactly_its_fields_types_and_defaults(kind: type) -> None:
     """In the same order, with a meaning each."""
-    hints = typing.get_type_hints(kind)
-    table = rows(section(kind.__name__))
+    hints, table = typing.get_type_hints(kind), rows(section(kind.__name__))
     found = [(name, re.sub(r" \[.*\]", "", type_)) for name, type_, _ in table]
     assert found == [(f.name, written(hints[f.name])) for f in fields(kind)]
     assert all(meaning for *_, meaning in table)
-
-
-@pytest.mark.parametrize("kind", DESCRIBED)
-def test_the_defaults_are_those_of_the_code(kind: type) -> None:
-    """Whoever reads a message without the field has to take the same."""
-    found = {
+    defaults = {
         name: json.loads(default[1].replace("nil", "null"))
-        for name, _, meaning in rows(section(kind.__name__))
+        for name, _, meaning in table
         if (default := re.search(r"; default (.*)$", meaning))
     }
-    assert found == {
-        f.name: list(f.default) if isinstance(f.default, tuple) else f.default
-        for f in fields(kind)
-        if f.default is not MISSING
-    }
+    assert defaults == {f.name: listed(f.default) for f in fields(kind) if f.default is not MISSING}
 
 
-def test_there_is_no_message_that_does_not_exist() -> None:
+def listed(value: object) -> object:
+    """Turn a tuple into what JSON has for it."""
+    return list(value) if isinstance(value, tuple) else value
+
+
+def test_the_page_has_the_messages_and_keys_that_exist_and_no_others() -> None:
     """One that was removed from the code goes from the page."""
-    headings = re.findall(r"^### (\w+)$", section_of_messages(), re.M)
-    assert headings == [kind.__name__ for kind in DESCRIBED]
+    messages = PAGE.split("\n## Messages\n")[1].split("\n## ")[0]
+    assert re.findall(r"^### (\w+)$", messages, re.M) == [kind.__name__ for kind in DESCRIBED]
+    keys = Keys("RUN")
+    named = {key for name, key in vars(keys).items() if name not in ("run", "_prefix")}
+    named |= {keys.actor_status("ACTOR"), keys.live_actor("ACTOR")}
+    assert {row[0] for row in rows(section("Keys"))} == named
+    assert [row[0] for row in rows(section("Sending"))] == list(typing.get_args(Verdict))
 
 
-def section_of_messages() -> str:
-    """Return the part of the page that describes messages."""
-    return PAGE.split("\n## Messages\n")[1].split("\n## ")[0]
-
-
-def test_the_size_limits_are_those_of_the_code() -> None:
+def test_the_limits_are_those_of_the_code() -> None:
     """A sender checks them before a receiver does."""
     table = [row for row in rows(section("Encoding")) if row[1].isdigit()]
     assert {name: int(limit) for name, limit in table} == {
         kind.__name__: limit for kind, limit in MAX_BYTES.items()
     }
-
-
-def test_the_largest_numbers_are_those_of_the_code() -> None:
-    """An actor drops what is larger."""
     found = re.findall(r" from -(\S+) to (\S+\d)", section("Segment").split("|")[0])
     assert [(float(low), float(high)) for low, high in found] == [
-        (most, most) for most in (MOST_PLAYED, MOST_SUGGESTED, OffPolicyLearning.most_suggested)
+        (most, most) for most in (MAX_PLAYED, MAX_SUGGESTED, OwnReplay.max_suggestion)
     ]
-
-
-def test_the_most_metrics_are_those_of_the_code() -> None:
-    """Those of the run and those of a segment: `is_success` is always one."""
-    assert f"at most {MOST_METRICS};" in section("Segment")
-    assert f"at most {MOST_METRICS - 1} others;" in section("EnvConfig")
-
-
-def test_the_keys_are_those_of_the_code() -> None:
-    """Each at least once, and no other."""
-    keys = Keys("RUN")
-    assert {row[0] for row in rows(section("Keys"))} == {
-        keys.hello,
-        keys.hello_of_major_1,
-        keys.segment,
-        keys.notice,
-        keys.weights,
-        keys.recovery,
-        keys.status,
-        keys.replay_info,
-        keys.replay_sample,
-        keys.actor_status("ACTOR"),
-        keys.live_learner,
-        keys.live_actor("ACTOR"),
-    }
-
-
-def test_the_verdicts_version_and_endpoint_are_those_of_the_code() -> None:
-    """What is written in running text changes with the code as well."""
-    verdicts = [row[0] for row in rows(section("Sending"))]
-    assert verdicts == list(typing.get_args(Verdict))
-    assert f'`"a2s"`: the major version, the integer **{SCHEMA_VERSION}**' in PAGE
-    assert f"This is version {SCHEMA_VERSION} of the protocol." in PAGE
-    assert f'`["{DEFAULT_ENDPOINT}"]`' in PAGE
+    assert f"at most {MAX_METRICS};" in section("Segment")
+    assert f"at most {MAX_METRICS - 1} others;" in section("EnvConfig")  # and is_success
 
 
 def test_the_metadata_of_a_graph_are_those_of_the_code(
@@ -186,16 +145,7 @@ def test_the_hex_dumps_are_messages_with_the_values_beside_them(
 
     message = decode(payload, kind)
     assert json.loads(values) == {
-        name: value.tolist() if isinstance(value, np.ndarray) else _listed(value)
+        name: value.tolist() if isinstance(value, np.ndarray) else listed(value)
         for name, value in asdict(message).items()
     }
     assert encode(message) == payload
-
-
-def _listed(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
-
-
-def test_no_line_is_longer_than_a_screen() -> None:
-    """Tables excepted, which cannot be broken."""
-    assert [x for x in PAGE.splitlines() if len(x) > 160 and not x.startswith("|")] == []

@@ -19,7 +19,7 @@ def test_what_hangs_is_replaced_and_named_and_the_run_goes_on(tmp_path: Path) ->
     deeds.mkdir()
     plan = "step-sleeps,step-holds-the-lock,reset-sleeps,step-aborts,step-raises"
     options = ("--env-kwargs", f"notes={deeds}", "--env-kwargs", f"plan={plan}")
-    more = ("--n", "2", "--env-timeout", "3", "--total-steps", "4000")
+    more = ("--n", "2", "--env-timeout", "3", "--total-steps", "4000", "--set", "critic_epochs=20")
     trained = train(tmp_path, "a2s_case_processes:Hangs-v0", *options, *SMALL, *more)
     assert {path.name for path in deeds.iterdir()} == {*plan.split(",")}
     assert trained.summary["env_steps"] >= 4000

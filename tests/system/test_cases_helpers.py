@@ -1,15 +1,18 @@
 """Helper processes of an environment: they end with their worker, and keep nobody waiting."""
 
+import json
 import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 from a2s_case_processes import KINDS
-from case_runs import SMALL, a2s, train
-from system_helpers import FAST, PATIENCE_S, Start, is_alive
+from case_runs import SMALL, a2s
+from case_runs import train as train_to_the_end
+from system_helpers import FAST, PATIENCE_S, Command, Start, is_alive
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -37,15 +40,21 @@ def _living(notes: Path) -> dict[int, str]:
     return {pid: kind for pid, kind in _helpers(notes).items() if is_alive(pid)}
 
 
-def test_a_killed_worker_is_replaced_and_after_ctrl_c_no_helper_is_left(
-    start: Start, tmp_path: Path, notes: Path, wait_for: WaitFor
-) -> None:
+@pytest.fixture
+def train(start: Start, tmp_path: Path, notes: Path, wait_for: WaitFor) -> Command:
+    """A training of two workers with helpers that has made two updates."""
     train = start(
         "train", "--env", ENV, "--env-kwargs", f"notes={notes}", *FAST, "--n", "2",
         "--total-steps", "10000000", "--run-dir", "run", "--metrics-port", "-1",
     )  # fmt: skip
     updates = tmp_path / "run" / "updates.csv"
     wait_for(lambda: updates.exists() and updates.read_text().count("\n") > 2, "two updates")
+    return train
+
+
+def test_a_killed_worker_is_replaced_and_ctrl_c_stops_everything_cleanly(
+    train: Command, tmp_path: Path, notes: Path, wait_for: WaitFor
+) -> None:
     before, victim = _living(notes), train.workers()[0]
     assert set(before.values()) == {*KINDS}
     os.kill(victim.pid, signal.SIGKILL)
@@ -54,15 +63,29 @@ def test_a_killed_worker_is_replaced_and_after_ctrl_c_no_helper_is_left(
     gone = len(before) // 2
     wait_for(lambda: sum(map(is_alive, before)) == gone, "its helpers to end", timeout_s=10.0)
     wait_for(lambda: len(_living(notes)) == len(before), "new helpers")
+    everyone = psutil.Process(train.process.pid).children(recursive=True)
     assert train.end(signal.SIGINT) == 130, train.text()
+    assert not any(is_alive(process.pid) for process in everyone)
     wait_for(lambda: _living(notes) == {}, f"the end of {_living(notes)}", timeout_s=5.0)
     assert "Traceback" not in train.text()
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"] is False
+    assert any((tmp_path / "run" / "checkpoints").iterdir())
+
+
+def test_nobody_survives_a_killed_train(train: Command, notes: Path, wait_for: WaitFor) -> None:
+    """Neither learner nor actors, nor what their environments have started."""
+    everyone = psutil.Process(train.process.pid).children(recursive=True)
+    assert len(everyone) >= 4
+    train.process.kill()
+    train.process.wait(PATIENCE_S)
+    wait_for(lambda: not any(is_alive(p.pid) for p in everyone), "all to end", timeout_s=30.0)
+    wait_for(lambda: _living(notes) == {}, "all helpers to end", timeout_s=30.0)
 
 
 def test_nobody_waits_for_helpers_at_the_end_of_a_training_and_of_an_evaluation(
     tmp_path: Path, notes: Path
 ) -> None:
-    trained = train(tmp_path, ENV, "--env-kwargs", f"notes={notes}", *SMALL)
+    trained = train_to_the_end(tmp_path, ENV, "--env-kwargs", f"notes={notes}", *SMALL)
     made = len(_helpers(notes))
     # The learner makes one environment, the actor two, and the evaluation two.
     assert made == 5 * len(KINDS)
@@ -72,15 +95,3 @@ def test_nobody_waits_for_helpers_at_the_end_of_a_training_and_of_an_evaluation(
     assert done.code == 0, done.err
     assert len(_helpers(notes)) > made
     assert _living(notes) == {}
-
-
-def test_no_helper_survives_a_killed_train(
-    start: Start, tmp_path: Path, notes: Path, wait_for: WaitFor
-) -> None:
-    options = ("--total-steps", "10000000", "--run-dir", "run", "--metrics-port", "-1")
-    train = start("train", "--env", ENV, "--env-kwargs", f"notes={notes}", *FAST, *options)
-    updates = tmp_path / "run" / "updates.csv"
-    wait_for(lambda: updates.exists() and updates.read_text().count("\n") > 2, "two updates")
-    train.process.kill()
-    train.process.wait(PATIENCE_S)
-    wait_for(lambda: _living(notes) == {}, "all to end", timeout_s=30.0)

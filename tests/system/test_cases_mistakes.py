@@ -11,7 +11,7 @@ from case_runs import SMALL, a2s, events
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
-FILE = r" \((?:\S*/)?a2s_case_mistakes\.py:\d+\)"
+FILE = r" \((?:\S*/)?a2s_case_(?:envs|mistakes)\.py:\d+\)"
 FOUR = r"step returned 4 values, expected 5 \(obs, reward, terminated, truncated, info\)" + FILE
 
 
@@ -37,10 +37,11 @@ def _at(how: str) -> str:
             ("--env-kwargs", "where=reset", "--env-timeout", "2"),
             r"reset .*had not returned after 2 s.*",
         ),
-        (
+        pytest.param(
             "a2s_case_processes:HangsAlways-v0",
             ("--env-kwargs", "where=make", "--env-timeout", "2"),
             r"make .*had not returned after 2 s.*",
+            marks=pytest.mark.long,
         ),
     ],
 )  # fmt: skip
@@ -64,7 +65,7 @@ def test_a_training_finds_it_before_anything_starts(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("call", ["reset", "step"])
+@pytest.mark.parametrize("call", [pytest.param("reset", marks=pytest.mark.long), "step"])
 def test_an_evaluation_says_it_too(
     tmp_path: Path, make_graph: Callable[..., bytes], call: str
 ) -> None:

@@ -101,12 +101,20 @@ def test_an_environment_of_a_file_is_found_by_every_command(here: Path) -> None:
     assert evaluate(here, "run", "--episodes", "2")["lengths"] == [40, 40]
 
 
-@pytest.mark.parametrize("env", ["my_env:Here", "./my_env.py:Here-v0", "a2s_case_envs:Control"])
+@pytest.mark.parametrize(
+    "env",
+    [
+        "my_env:Here",
+        pytest.param("./my_env.py:Here-v0", marks=pytest.mark.long),
+        pytest.param("a2s_case_envs:Control", marks=pytest.mark.long),
+    ],
+)
 def test_an_environment_has_four_forms(here: Path, env: str) -> None:
     done = a2s("check", env, cwd=here)
     assert done.code == 0, done.err
 
 
+@pytest.mark.long
 def test_an_environment_of_the_working_directory_is_found_by_learner_actor_and_evaluation(
     start: Start, endpoint: str, here: Path
 ) -> None:
@@ -168,8 +176,8 @@ def test_information_of_an_episode_is_in_every_place(
     ("env", "code", "said"),
     [
         ("a2s_case_envs:Control-v0", 0, "actions/s"),
-        ("a2s_case_envs:InPlace-v0", 0, "actions/s"),
-        ("a2s_case_numbers:Matrix-v0", 0, "actions/s"),
+        pytest.param("a2s_case_envs:InPlace-v0", 0, "actions/s", marks=pytest.mark.long),
+        pytest.param("a2s_case_numbers:Matrix-v0", 0, "actions/s", marks=pytest.mark.long),
         ("a2s_case_mistakes:FourValues-v0", 1, "step returned 4 values, expected 5"),
         ("a2s_case_numbers:Image-v0", 2, "(84, 84, 3)"),
     ],

@@ -10,11 +10,7 @@ from a2s_case_processes import STEPS_OF_ALL_WAYS
 from case_runs import A2S, SMALL, Trained, events, train
 from system_helpers import FAST, PATIENCE_S, Command, Start, metrics_port, scrape
 
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.timeout(300),
-    pytest.mark.xdist_group("the control"),
-]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 WaitFor = Callable[..., None]
 CONTROL = "a2s_case_envs:Control-v0"
@@ -62,7 +58,9 @@ def test_prints_of_every_kind(control: Trained, tmp_path: Path) -> None:
     assert "no end of a line" in trained.actors_log()
 
 
-@pytest.mark.parametrize("closed", ["before it starts", "by its reader"])
+@pytest.mark.parametrize(
+    "closed", ["before it starts", pytest.param("by its reader", marks=pytest.mark.long)]
+)
 def test_prints_without_a_place_to_go(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor, closed: str
 ) -> None:
@@ -91,7 +89,7 @@ def test_prints_without_a_place_to_go(
 @pytest.mark.parametrize(
     "options",
     [
-        ("scale=9.5367431640625e-07",),
+        pytest.param(("scale=9.5367431640625e-07",), marks=pytest.mark.long),
         ("dtype=float64", "offset=100000000.0"),
     ],
     ids=["tiny", "far from zero in float64"],

@@ -17,7 +17,8 @@ from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
 from a2s.learner.replay.episodes import StoredEpisodes
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 60 * int(os.environ.get("KILLS", "3")))]
+KILLS = int(os.environ.get("KILLS", "2"))
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 60 * KILLS)]
 
 WaitFor = Callable[..., None]
 RunA2S = Callable[..., dict[str, Any]]
@@ -26,9 +27,6 @@ SMALL = (
     "--set", "policy_sizes=16,16", "--set", "batch_rows=32", "--set", "warm_up_steps=100",
     "--set", "send_every_steps=8", "--set", "replay_rows=20000",
 )  # fmt: skip
-
-
-KILLS = int(os.environ.get("KILLS", "3"))
 
 
 def _acknowledged(run: Path) -> Ledger:
@@ -57,7 +55,7 @@ def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_pa
 def test_lockstep_with_one_actor_is_reproducible_to_the_bit(
     run_a2s: RunA2S, tmp_path: Path
 ) -> None:
-    options = (*REACH, *SMALL, "--lockstep", "--n", "1", "--seed", "3", "--total-steps", "600")
+    options = (*REACH, *SMALL, "--lockstep", "--n", "1", "--seed", "3", "--total-steps", "300")
     summaries = [run_a2s("train", *options, "--run", name) for name in ("one", "two")]
     one, two = (tmp_path / "runs" / name for name in ("one", "two"))
     for table in ("episodes.csv", "updates.csv"):

@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 from system_helpers import PATIENCE_S, REACH, Start
+from typer.testing import CliRunner
 
+from a2s.cli import app
 from a2s.learner.replay import directory
+from a2s.protocol.errors import A2SError
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -76,10 +79,11 @@ def test_live_over_the_network_without_a_change_to_the_first(
         (("--replay-from", "nowhere", "--variant", "on-policy"), "only --variant off-policy"),
     ],
 )
-def test_a_source_that_is_none_is_one_line(
-    start: Start, endpoint: str, arguments: tuple[str, ...], words: str
+def test_a_source_that_cannot_be_used_is_one_line(
+    endpoint: str, arguments: tuple[str, ...], words: str
 ) -> None:
-    learner = start("learner", *arguments, "--connect", endpoint, "--metrics-port", "-1")
-    assert learner.process.wait(PATIENCE_S) in (1, 2)
-    (line,) = learner.log.read_text().splitlines()
-    assert words in line
+    options = ["--connect", endpoint, "--metrics-port", "-1"]
+    done = CliRunner().invoke(app, ["learner", *arguments, *options])
+    assert isinstance(done.exception, A2SError)
+    assert words in str(done.exception)
+    assert len(str(done.exception).splitlines()) == 1

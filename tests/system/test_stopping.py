@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from system_helpers import FAST, REACH, Command, Start
+from system_helpers import FAST, PATIENCE_S, REACH, Command, Start
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -35,7 +35,9 @@ def _learner(train: Command) -> list[str]:
     [
         (lambda train: "policy  " in train.text(), signal.SIGTERM),
         (lambda train: "policy  " in train.text() and not _learner(train), signal.SIGINT),
-        (lambda train: "evaluating" in train.text(), signal.SIGTERM),
+        pytest.param(
+            lambda train: "evaluating" in train.text(), signal.SIGTERM, marks=pytest.mark.long
+        ),
     ],
     ids=["learner leaves", "actors leave", "evaluates"],
 )
@@ -43,11 +45,10 @@ def test_a_training_whose_learner_is_done_ends(
     start: Start, tmp_path: Path, wait_for: WaitFor, moment: Moment, number: int
 ) -> None:
     train = _train(start, "--total-steps", "512", *LONG)
-    wait_for(lambda: moment(train), "the moment")
+    wait_for(lambda: moment(train), "the moment", timeout_s=PATIENCE_S)
     assert train.end(number) == 130, train.text()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
-    assert "a2s: " not in train.text()
-    assert "Traceback" not in train.text()
+    _assert_quiet(train)
 
 
 def test_ctrl_c_ends_an_evaluation_that_a_script_started_behind_itself(
@@ -59,27 +60,36 @@ def test_ctrl_c_ends_an_evaluation_that_a_script_started_behind_itself(
         train = _train(start, "--total-steps", "512", *LONG)
     finally:
         signal.signal(signal.SIGINT, before)
-    wait_for(lambda: "evaluating" in train.text(), "the evaluation")
+    wait_for(lambda: "evaluating" in train.text(), "the evaluation", timeout_s=PATIENCE_S)
     assert train.end(signal.SIGINT) == 130, train.text()
 
 
-@pytest.mark.parametrize(("module", "number"), [("", signal.SIGINT), ("libtorch", signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("module", "number"),
+    [pytest.param("", signal.SIGINT, marks=pytest.mark.long), ("libtorch", signal.SIGTERM)],
+)
 def test_a_training_whose_learner_starts_ends_and_leaves_no_trace_of_a_run_not_begun(
     start: Start, tmp_path: Path, wait_for: WaitFor, module: str, number: int
 ) -> None:
     train = _train(start, "--total-steps", "512")
     wait_for(lambda: any(module in path for path in _learner(train)), "a learner that starts")
     assert train.end(number) == 130, train.text()
-    assert "a2s: " not in train.text()
-    assert "Traceback" not in train.text()
+    _assert_quiet(train)
     run = tmp_path / "run"
     assert run.exists() is (run / "config.toml").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_a_learner_that_starts_ends(start: Start, wait_for: WaitFor, number: int) -> None:
     learner = start("learner", *REACH, "--run-dir", "run", "--metrics-port", "-1")
     maps = psutil.Process(learner.process.pid).memory_maps
     wait_for(lambda: any("libtorch" in m.path for m in maps()), "torch to be loaded")
     assert learner.end(number) == 130, learner.text()
-    assert "Traceback" not in learner.text()
+    _assert_quiet(learner)
+
+
+def _assert_quiet(command: Command) -> None:
+    assert "a2s: " not in command.text()
+    assert "Traceback" not in command.text()

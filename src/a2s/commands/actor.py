@@ -1,14 +1,13 @@
 """``a2s actor``: n supervised actor processes on this machine."""
 
-import logging
 import socket
-import sys
 
+import typer
+
+from a2s.actors.actor import Task
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
-from a2s.actors.worker import Task
-from a2s.commands.serving import serve_on
-from a2s.commands.stopping import EXIT_INTERRUPTED, stop_on_signals
+from a2s.commands.process import EXIT_INTERRUPTED, log_warnings, serve_on, stop_on_signals
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import check_endpoint
 
@@ -21,7 +20,7 @@ def act(
     envs: int | None,
     run: str,
     connect: str,
-    spool_steps: int,
+    outbox_steps: int,
     metrics_host: str,
     metrics_port: int | None,
 ) -> int:
@@ -33,7 +32,7 @@ def act(
     Raises:
         A2SError: The user asked for something impossible, or the actors cannot work.
     """
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
+    log_warnings()
     Keys(run)
     check_endpoint(connect)
     host = "".join(c if c.isalnum() or c in "-_" else "-" for c in socket.gethostname())[:40]
@@ -44,19 +43,16 @@ def act(
             connect=connect,
             run=run,
             num_envs=envs,
-            spool_steps=spool_steps,
+            outbox_steps=outbox_steps,
         )
         for index in range(n)
     ]
-    fleet = Fleet(n)
-    url = "off"
+    fleet, url = Fleet(n), "off"
     if metrics_port != -1:
         bound = serve_on(metrics_port, METRICS_PORT, lambda port: serve(fleet, metrics_host, port))
         url = f"http://{metrics_host}:{bound}/metrics"
-    sys.stdout.write(
-        f"a2s actor: {n} processes for run {run}\n  connect     {connect}\n  metrics     {url}\n"
-    )
-    sys.stdout.flush()
+    typer.echo(f"a2s actor: {n} processes for run {run}")
+    typer.echo(f"  connect     {connect}\n  metrics     {url}")
     with stop_on_signals() as stop:
         Supervisor(tasks, fleet).run(stop)
     return EXIT_INTERRUPTED if stop.interrupted else 0

@@ -43,8 +43,8 @@ def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
 
     Args:
         suite: One of `SUITES`.
-        rounds: Turns of every contender; one more warms up.
-        seconds: Of one turn, at least.
+        rounds: Turns of every contender, after one that warms up.
+        seconds: Length of a turn, at least.
 
     Returns:
         Rows ``{name, value, unit, baseline, ratio}``: medians over the rounds of the rate and of
@@ -58,10 +58,16 @@ def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
     contests_of = importlib.import_module(f"a2s.commands.bench_{suite}").contests
     with ExitStack() as stack:
         contests: list[Contest] = contests_of(stack)
-        rows = []
-        for contest in contests:
-            rows += _hold(contest, rounds, seconds)
-    return rows
+        return [row for contest in contests for row in _hold(contest, rounds, seconds)]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Lay out what `bench` found."""
+    lines = []
+    for row in rows:
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:8.2f} x the fastest other"
+        lines.append(f"{row['name']:<44}{row['value']:>14,.6g} {row['unit']:<14}{ratio}")
+    return "\n".join(lines)
 
 
 def optional(module: str, package: str) -> Any:
@@ -86,19 +92,16 @@ def _hold(contest: Contest, rounds: int, seconds: float) -> list[dict[str, Any]]
             found[one.name] += [rate] if turn else []
     against = [found[one.name] for one in contest.contenders if one.is_baseline]
     fastest = [max(rates) for rates in zip(*against, strict=True)]
-    rows = []
-    for name, rates in found.items():
-        ratios = [rate / best for rate, best in zip(rates, fastest, strict=False)]
-        rows.append(
-            {
-                "name": name,
-                "value": _rounded(rates),
-                "unit": contest.unit,
-                "baseline": _rounded(fastest),
-                "ratio": _rounded(ratios),
-            }
-        )
-    return rows
+    return [
+        {
+            "name": name,
+            "value": _median(rates),
+            "unit": contest.unit,
+            "baseline": _median(fastest),
+            "ratio": _median([rate / best for rate, best in zip(rates, fastest, strict=False)]),
+        }
+        for name, rates in found.items()
+    ]
 
 
 def _rate(one: Contender, seconds: float) -> float:
@@ -109,5 +112,5 @@ def _rate(one: Contender, seconds: float) -> float:
     return count * one.size / spent_s
 
 
-def _rounded(values: list[float]) -> float | None:
+def _median(values: list[float]) -> float | None:
     return float(f"{statistics.median(values):.4g}") if values else None

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from a2s.actors.environments.environment import Environment
-from a2s.actors.metrics import Tally
+from a2s.actors.metrics import ActorMetrics
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
@@ -27,10 +27,7 @@ def contests(stack: ExitStack) -> list[Contest]:
     del stack
     torch.set_num_threads(1)
     return [
-        Contest(
-            "env steps/s",
-            [_acting(env_id, 10), _acting(env_id, 1), _bare(env_id)],
-        )
+        Contest("env steps/s", [_acting(env_id, 10), _acting(env_id, 1), _bare(env_id)])
         for env_id in ENV_IDS
     ]
 
@@ -38,7 +35,7 @@ def contests(stack: ExitStack) -> list[Contest]:
 def _acting(env_id: str, suggestions: int) -> Contender:
     environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(ENVS)]
     suggester = Suggester(_graph(environments[0].spaces, suggestions))
-    rollout = Rollout("bench", environments, 0, Tally(), Troubles())
+    rollout = Rollout("bench", environments, 0, ActorMetrics(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=STEPS, quota_episodes=0, num_bytes=1,
         sha256="",

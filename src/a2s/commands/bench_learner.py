@@ -9,8 +9,9 @@ import importlib
 import importlib.util
 import multiprocessing
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -39,59 +40,42 @@ _OURS: dict[str, tuple[str, dict[str, object]]] = {
     f"a2s modern, {_FASTEST}": ("modern", {}),
     f"a2s sac, {_FASTEST}, {_TWO}": ("sac", {}),
 }
+_prepared: list[Callable[[], None]] = []  # in the process of a contender: its ten updates
 _THEIRS = {"stable_baselines3": ("stable-baselines3", True), "sbx": ("sbx-rl", False)}
 
 
 def contests(stack: ExitStack) -> list[Contest]:
-    """Start the processes."""
+    """Start the processes; all of them get ready at once."""
     started = [_start(name, name, stack) for name in _OURS]
     for module, (package, is_baseline) in _THEIRS.items():
         if importlib.util.find_spec(module) is None:
             missing(package)
-            continue
-        started.append(_start(f"{package} SAC", module, stack, is_baseline=is_baseline))
-    return [Contest("updates/s", [_contender(*each) for each in started])]
+        else:
+            started.append(_start(f"{package} SAC", module, stack, is_baseline=is_baseline))
+    return [Contest("updates/s", started)]
 
 
-def _start(
-    name: str, which: str, stack: ExitStack, *, is_baseline: bool = False
-) -> tuple[str, Connection, bool]:
-    """A process that makes ten updates when told; all of them get ready at once."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    context.Process(target=_serve, args=(which, theirs), name=name, daemon=True).start()
-    theirs.close()
-    stack.callback(ours.close)
-    return name, ours, is_baseline
-
-
-def _contender(name: str, pipe: Connection, is_baseline: bool) -> Contender:
-    _wait(pipe, name)
+def _start(name: str, which: str, stack: ExitStack, *, is_baseline: bool = False) -> Contender:
+    spawn = multiprocessing.get_context("spawn")
+    process = stack.enter_context(ProcessPoolExecutor(1, spawn, _prepare, (which,)))
+    process.submit(_update)
 
     def update() -> None:
-        pipe.send(None)
-        _wait(pipe, name)
+        try:
+            process.submit(_update).result()
+        except BrokenProcessPool:
+            raise A2SError(f"bench learner: the process of {name} ended; see above why") from None
 
     return Contender(name, update, UPDATES, is_baseline)
 
 
-def _wait(pipe: Connection, name: str) -> None:
-    try:
-        pipe.recv()
-    except EOFError:
-        raise A2SError(f"bench learner: the process of {name} ended; see above why") from None
-
-
-def _serve(which: str, pipe: Connection) -> None:
+def _prepare(which: str) -> None:
     torch.set_num_threads(2 if which.endswith(_TWO) else 1)
-    update = _ours(*_OURS[which]) if which in _OURS else _theirs(which)
-    try:
-        while True:
-            pipe.send(None)
-            pipe.recv()
-            update()
-    except (EOFError, BrokenPipeError):
-        return
+    _prepared.append(_ours(*_OURS[which]) if which in _OURS else _theirs(which))
+
+
+def _update() -> None:
+    _prepared[0]()
 
 
 def _ours(preset: str, options: dict[str, object]) -> Callable[[], None]:

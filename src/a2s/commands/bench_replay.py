@@ -13,31 +13,29 @@ import numpy as np
 import torch
 
 from a2s.commands.bench import Contender, Contest, optional
-from a2s.commands.bench_data import ACTION, BATCH, OBS, SPACES, STEPS, make_segment
-from a2s.commands.serving import free_endpoint
+from a2s.commands.bench_data import BATCH, SPACES, STEPS, make_segment
+from a2s.commands.process import free_endpoint
 from a2s.learner.replay import directory
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.fields import Array
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Segment
 from a2s.protocol.zenoh_bus import ZenohBus
 
 CAPACITY = 1 << 18
+FILLING = CAPACITY // STEPS + 1  # segments that fill it
 OPENED_ROWS = 1_000_000
-
-Call = Callable[[], object]
 
 
 class _Buffer(NamedTuple):
     """One implementation: put a segment in, draw a batch, draw by priority and set priorities."""
 
     name: str
-    insert: Call
-    uniform: Call
-    prioritised: Call
-    is_baseline: bool
+    insert: Callable[[], object]
+    uniform: Callable[[], object]
+    prioritised: Callable[[], object]
+    is_baseline: bool = True
 
 
 def contests(stack: ExitStack) -> list[Contest]:
@@ -51,41 +49,42 @@ def contests(stack: ExitStack) -> list[Contest]:
     buffers = [
         _ours("a2s, memory", Replay.in_memory("E", SPACES, CAPACITY), segments),
         _ours("a2s, files", stored, segments),
-        *_cpprb(segments),
-        *_torchrl(segments),
     ]
+    if (cpprb := optional("cpprb", "cpprb")) is not None:
+        buffers.append(_cpprb(cpprb, segments))
+    if (torchrl := optional("torchrl.data", "torchrl")) is not None:
+        buffers.append(_torchrl(torchrl, segments))
     for buffer in buffers:
-        for _ in range(CAPACITY // STEPS + 1):
+        for _ in range(FILLING):
             buffer.insert()
+
+    def contest(title: str, field: str, size: int) -> Contest:
+        contenders = [
+            Contender(f"{title}: {one.name}", getattr(one, field), size, one.is_baseline)
+            for one in buffers
+        ]
+        return Contest("transitions/s", contenders)
+
     return [
-        _contest("insert a segment", buffers, "insert", STEPS),
-        _contest("uniform sample", buffers, "uniform", BATCH),
-        _contest("prioritised sample and update", buffers, "prioritised", BATCH),
+        contest("insert a segment", "insert", STEPS),
+        contest("uniform sample", "uniform", BATCH),
+        contest("prioritised sample and update", "prioritised", BATCH),
         Contest("batches/s", [served(stored, stack)]),
         Contest("openings/s", [_opening(folder / "large", segments)]),
     ]
 
 
-def _contest(what: str, buffers: list[_Buffer], field: str, size: int) -> Contest:
-    contenders = [
-        Contender(f"{what}: {one.name}", getattr(one, field), size, one.is_baseline)
-        for one in buffers
-    ]
-    return Contest("transitions/s", contenders)
-
-
 def _ours(name: str, replay: Replay, segments: list[Segment]) -> _Buffer:
-    draw = np.random.default_rng(1)
-    source = itertools.cycle(segments)
+    rng, source = np.random.default_rng(1), itertools.cycle(segments)
 
     def prioritised() -> None:
-        batch = replay.sample(BATCH, draw, prioritised=True)
+        batch = replay.sample(BATCH, rng, prioritised=True)
         replay.update_priorities(batch.row, np.abs(batch.reward))
 
     return _Buffer(
         name,
         lambda: replay.insert(next(source)),
-        lambda: replay.sample(BATCH, draw),
+        lambda: replay.sample(BATCH, rng),
         prioritised,
         is_baseline=False,
     )
@@ -102,69 +101,50 @@ def _columns(segment: Segment) -> dict[str, Array]:
     }
 
 
-def _cpprb(segments: list[Segment]) -> list[_Buffer]:
-    cpprb = optional("cpprb", "cpprb")
-    if cpprb is None:
-        return []
-    fields = {"obs": {"shape": OBS}, "action": {"shape": ACTION}, "reward": {}, "done": {}}
-    fields["next_obs"] = {"shape": OBS}
-    uniform = cpprb.ReplayBuffer(CAPACITY, fields)
-    by_priority = cpprb.PrioritizedReplayBuffer(CAPACITY, fields, alpha=0.6)
-    made = [_columns(segment) for segment in segments]
-    source = itertools.cycle(made)
-    for _ in range(CAPACITY // STEPS + 1):
-        by_priority.add(**made[0])
+def _cpprb(cpprb: Any, segments: list[Segment]) -> _Buffer:
+    columns = [_columns(segment) for segment in segments]
+    shapes = {name: {"shape": column.shape[1:]} for name, column in columns[0].items()}
+    uniform = cpprb.ReplayBuffer(CAPACITY, shapes)
+    by_priority = cpprb.PrioritizedReplayBuffer(CAPACITY, shapes, alpha=0.6)
+    source = itertools.cycle(columns)
+    for _ in range(FILLING):
+        by_priority.add(**columns[0])
 
     def prioritised() -> None:
         batch = by_priority.sample(BATCH, beta=0.4)
         by_priority.update_priorities(batch["indexes"], np.abs(batch["reward"][:, 0]))
 
-    return [
-        _Buffer(
-            "cpprb",
-            lambda: uniform.add(**next(source)),
-            lambda: uniform.sample(BATCH),
-            prioritised,
-            is_baseline=True,
-        )
-    ]
+    return _Buffer(
+        "cpprb", lambda: uniform.add(**next(source)), lambda: uniform.sample(BATCH), prioritised
+    )
 
 
-def _torchrl(segments: list[Segment]) -> list[_Buffer]:
-    data = optional("torchrl.data", "torchrl")
-    if data is None:
-        return []
+def _torchrl(data: Any, segments: list[Segment]) -> _Buffer:
     tensordict: Any = importlib.import_module("tensordict")
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it writes to standard output
-    made: list[Any] = [
+    columns: list[Any] = [
         tensordict.TensorDict(
             {name: torch.from_numpy(column) for name, column in _columns(segment).items()},
             batch_size=STEPS,
         )
         for segment in segments
     ]
-    source = itertools.cycle(made)
-    sizes = {"storage": data.LazyTensorStorage(CAPACITY), "batch_size": BATCH}
-    uniform = data.TensorDictReplayBuffer(**sizes)
-    sizes["storage"] = data.LazyTensorStorage(CAPACITY)
-    by_priority = data.TensorDictPrioritizedReplayBuffer(alpha=0.6, beta=0.4, **sizes)
-    for _ in range(CAPACITY // STEPS + 1):
-        by_priority.extend(made[0])
+    source = itertools.cycle(columns)
+    uniform = data.TensorDictReplayBuffer(
+        storage=data.LazyTensorStorage(CAPACITY), batch_size=BATCH
+    )
+    by_priority = data.TensorDictPrioritizedReplayBuffer(
+        alpha=0.6, beta=0.4, storage=data.LazyTensorStorage(CAPACITY), batch_size=BATCH
+    )
+    for _ in range(FILLING):
+        by_priority.extend(columns[0])
 
     def prioritised() -> None:
         batch = by_priority.sample()
         batch["td_error"] = batch["reward"][:, 0].abs()
         by_priority.update_tensordict_priority(batch)
 
-    return [
-        _Buffer(
-            "torchrl",
-            lambda: uniform.extend(next(source)),
-            uniform.sample,
-            prioritised,
-            is_baseline=True,
-        )
-    ]
+    return _Buffer("torchrl", lambda: uniform.extend(next(source)), uniform.sample, prioritised)
 
 
 def served(replay: Replay, stack: ExitStack) -> Contender:

@@ -9,9 +9,8 @@ import numpy as np
 
 from a2s.commands.bench import Contender, Contest
 from a2s.commands.bench_data import make_segment
-from a2s.commands.serving import free_endpoint
+from a2s.commands.process import free_endpoint
 from a2s.protocol.codec import decode, encode
-from a2s.protocol.fields import Array
 from a2s.protocol.messages import Ack, Segment
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -23,37 +22,22 @@ def contests(stack: ExitStack) -> list[Contest]:
     """Open the connections."""
     segment = make_segment(0, np.random.default_rng(0))
     payload = encode(segment)
-    arrays = [
-        value
-        for value in (getattr(segment, field.name) for field in fields(segment))
-        if isinstance(value, np.ndarray)
-    ]
-    plain = [array.tobytes() for array in arrays]
-    return [
-        Contest(
-            "segments/s",
-            [
-                Contender("encode: a2s", lambda: encode(segment)),
-                Contender("encode: bytes alone", lambda: _join(arrays), is_baseline=True),
-            ],
+    values = [getattr(segment, field.name) for field in fields(segment)]
+    arrays = [value for value in values if isinstance(value, np.ndarray)]
+    parts = [array.tobytes() for array in arrays]
+    pairs = {
+        "encode": (lambda: encode(segment), lambda: b"".join(a.tobytes() for a in arrays)),
+        "decode": (
+            lambda: decode(payload, Segment),
+            lambda: [np.frombuffer(part, np.float32).copy() for part in parts],
         ),
-        Contest(
-            "segments/s",
-            [
-                Contender("decode: a2s", lambda: decode(payload, Segment)),
-                Contender("decode: bytes alone", lambda: _copies(plain), is_baseline=True),
-            ],
-        ),
-        Contest("segments/s", [_over_zenoh(payload, stack), _over_tcp(payload, stack)]),
+    }
+    local = [
+        [Contender(f"{name}: a2s", ours), Contender(f"{name}: bytes alone", bare, is_baseline=True)]
+        for name, (ours, bare) in pairs.items()
     ]
-
-
-def _join(arrays: list[Array]) -> bytes:
-    return b"".join(array.tobytes() for array in arrays)
-
-
-def _copies(plain: list[bytes]) -> list[Array]:
-    return [np.frombuffer(part, np.float32).copy() for part in plain]
+    remote = [_over_zenoh(payload, stack), _over_tcp(payload, stack)]
+    return [Contest("segments/s", contenders) for contenders in (*local, remote)]
 
 
 def _over_zenoh(payload: bytes, stack: ExitStack) -> Contender:
@@ -74,15 +58,9 @@ def _over_tcp(payload: bytes, stack: ExitStack) -> Contender:
 
     def serve() -> None:
         connection, _ = listener.accept()
-        buffer = memoryview(bytearray(len(payload)))
+        buffer = bytearray(len(payload))
         with connection:
-            while True:
-                got = 0
-                while got < len(payload):
-                    more = connection.recv_into(buffer[got:])
-                    if more == 0:
-                        return
-                    got += more
+            while connection.recv_into(buffer, len(buffer), socket.MSG_WAITALL):
                 connection.sendall(b".")
 
     threading.Thread(target=serve, name="tcp", daemon=True).start()

@@ -3,24 +3,8 @@
 import textwrap
 from typing import Any
 
-from a2s.actors.check import check
-from a2s.commands.serving import pass_on
-from a2s.protocol.env_config import EnvConfig
-
 _WIDTH = 100
 _SHOWN = 8
-
-
-def check_environment(config: EnvConfig) -> dict[str, Any]:
-    """Try an environment in a process of its own.
-
-    Returns:
-        The JSON object of ``a2s check --json``.
-
-    Raises:
-        A2SError: It cannot be trained on; the line says why.
-    """
-    return check(config, pass_on)
 
 
 def page(found: dict[str, Any], command: str) -> str:

@@ -4,12 +4,13 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from a2s.actors.evaluation import evaluate, read_policy
-from a2s.actors.suggester import Mode
+from a2s.actors.policy import mode_of
 from a2s.commands.configure import environment_of
-from a2s.commands.serving import pass_on
+from a2s.commands.process import pass_on
+from a2s.learner.numerals import written
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
 
@@ -29,14 +30,8 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Evaluate a run directory or a policy file.
 
-    Args:
-        run: Either.
-        options: Of the environment, as `environment_of` takes them, where they are not the run's.
-        episodes: How many to play.
-        mode: How to act.
-        weights: ``latest`` or ``best``, of a run.
-        seed: Of the episodes.
-        proceed: Asked again and again; when false, the evaluation ends.
+    ``options`` of the environment replace the run's, as `environment_of` takes them; ``weights``
+    of a run are ``latest`` or ``best``. The evaluation ends when ``proceed`` says false.
 
     Returns:
         The JSON object of ``a2s evaluate --json``; empty when told not to proceed.
@@ -47,17 +42,15 @@ def evaluate_run(
     """
     if weights not in _WEIGHTS:
         raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
-    known: Mode | None = next((m for m in get_args(Mode) if m == mode), None)
-    if known is None:
-        raise UsageError(f"--mode: found {mode!r}{nearest(mode, get_args(Mode))}")
+    known = mode_of(mode)
     path = run / weights / "policy.onnx" if run.is_dir() else run
-    config = environment_of(options, _of_policy(path, known))
+    config = environment_of(options, _trained_on(path, read_policy(path, known).metadata))
     result = evaluate(
         path.absolute(),
         known,
         config,
         episodes=episodes,
-        num_envs=_envs_of(run),
+        num_envs=_num_envs(run),
         seed=seed,
         on_words=pass_on,
         proceed=proceed,
@@ -77,9 +70,17 @@ def evaluate_run(
     }
 
 
-def _of_policy(path: Path, mode: Mode) -> EnvConfig | None:
-    """Read what the policy was trained on from its file."""
-    metadata = read_policy(path, mode).metadata
+def line(result: dict[str, Any]) -> str:
+    """Say in one line what `evaluate_run` found."""
+    values = (result["mean"], result["std"], min(result["returns"]), max(result["returns"]))
+    mean, std, low, high = map(written, values)
+    return (
+        f"{result['env']}: {mean} +- {std} over {result['episodes']} episodes "
+        f"({result['mode']}); from {low} to {high}"
+    )
+
+
+def _trained_on(path: Path, metadata: dict[str, str]) -> EnvConfig | None:
     if "environment" not in metadata:
         return EnvConfig(env_id=metadata["env"]) if metadata.get("env") else None
     try:
@@ -88,8 +89,8 @@ def _of_policy(path: Path, mode: Mode) -> EnvConfig | None:
         raise UsageError(f"{path}: its metadata 'environment' cannot be read: {error}") from None
 
 
-def _envs_of(run: Path) -> int:
-    """Environments in each process of the run; as many as by default, where it is not known."""
+def _num_envs(run: Path) -> int:
+    """Environments in each process of the run; the default, where it is not known."""
     try:
         return int(tomllib.loads((run / "config.toml").read_text())["run"]["envs"])
     except (OSError, tomllib.TOMLDecodeError, KeyError, ValueError):

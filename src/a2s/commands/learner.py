@@ -1,50 +1,98 @@
-"""``a2s learner``: one learner of one run."""
+"""``a2s learner``: one learner of one run, with actors or from the replay of another run."""
 
 import json
-import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import torch
+import typer
 
 from a2s.actors.description import describe
-from a2s.commands.serving import pass_on, serve_on
-from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
-from a2s.learner.ingest.batching import Source
-from a2s.learner.learner import Learner
+from a2s.commands.process import (
+    EXIT_INTERRUPTED,
+    Stop,
+    log_warnings,
+    pass_on,
+    serve_on,
+    stop_on_signals,
+)
+from a2s.learner.make import make_learner, make_replay_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.off_policy_trainer import AnyReplay
 from a2s.learner.replay import directory
-from a2s.learner.replay.description import Description
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
-from a2s.learner.replay_trainer import FromReplay
 from a2s.learner.run import directory as run_directory
-from a2s.learner.run.config import Configuration
+from a2s.learner.run.config import Configuration, RunConfig
+from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.replay_messages import MOST_SAMPLED, MOST_STEPS, ReplayInfo
+from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 METRICS_PORT = 9464
 _LOOPBACK = ("/127.", "/localhost:", "/[::1]:", "unixsock-stream/")
 
 
-def learn(
-    configuration: Configuration,
-    path: Path,
-    *,
-    listen: str | None,
-    metrics_host: str,
-    metrics_port: int | None,
-    resume: bool,
-    as_json: bool,
-) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where a learner works and what it shows.
+
+    Attributes:
+        path: Directory of the run.
+        resume: Go on with the run in ``path``.
+        metrics_host: Address on which metrics are served.
+        metrics_port: The port; 0: any free one, -1: not served, ``None``: the usual one.
+        as_json: Print the summary as the last line of standard output, and all else elsewhere.
+    """
+
+    path: Path
+    resume: bool
+    metrics_host: str
+    metrics_port: int | None
+    as_json: bool
+
+    @property
+    def out(self) -> TextIO:
+        """Stream for the user."""
+        return sys.stderr if self.as_json else sys.stdout
+
+    @contextmanager
+    def opened(self, run: RunConfig) -> Iterator[tuple[Stop, LearnerMetrics, str]]:
+        """Claim the directory, serve metrics (at the address given) and stop on signals."""
+        metrics, host = LearnerMetrics(), self.metrics_host
+        identity = {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
+        metrics.run.info(identity)
+        with ExitStack() as stack:
+            stop, url = stack.enter_context(stop_on_signals()), "off"
+            if self.metrics_port != -1:
+                port, end = serve_on(self.metrics_port, METRICS_PORT, partial(metrics.serve, host))
+                stack.callback(end)
+                url = f"http://{host}:{port}/metrics"
+            stack.enter_context(run_directory.claimed(self.path))
+            yield stop, metrics, url
+
+    def write_config(self, configuration: Configuration) -> None:
+        """Only once the run can go on with it: what was there before is resumed by default."""
+        text = configuration.to_toml()
+        run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
+
+    def end(self, summary: dict[str, Any], stop: Stop) -> int:
+        """Print the summary, if it is wanted as JSON, and give the exit code."""
+        if self.as_json:
+            typer.echo(json.dumps(summary))
+        return EXIT_INTERRUPTED if stop.interrupted else 0
+
+
+def learn(configuration: Configuration, place: Place, listen: str | None) -> int:
     """Run a learner to its end.
 
     Returns:
@@ -53,72 +101,46 @@ def learn(
     Raises:
         A2SError: The user asked for something impossible, or the run cannot go on.
     """
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
-    _require_device(run.device)
-    metrics = LearnerMetrics()
-    metrics.run.info({"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)})
+    _prepare_process(run)
     with stop_on_signals() as stop:
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
     if described is None or stop.interrupted:
         return EXIT_INTERRUPTED
-    with (
-        stop_on_signals() as stop,
-        closing(ZenohBus.listen(endpoint)) as bus,
-        _served(metrics, metrics_host, metrics_port) as metrics_url,
-        run_directory.claimed(path),
-    ):
-        out = sys.stderr if as_json else sys.stdout
-        out.write(_banner(configuration, path, endpoint, metrics_url))
-        out.flush()
-        with closing(make_view(f"{run.run}: {run.algo} on {run.env}", quiet=as_json)) as view:
-            learner = Learner(
+    with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
+        typer.echo(_banner(run, place.path, endpoint, url), place.out)
+        title = f"{run.run}: {run.algo} on {run.env}"
+        with closing(make_view(title, quiet=place.as_json)) as view:
+            learner = make_learner(
                 configuration=configuration,
                 spaces=described.spaces,
                 layout=described.layout,
                 bus=bus,
-                path=path,
+                path=place.path,
                 metrics=metrics,
                 view=view,
-                resume=resume,
+                resume=place.resume,
             )
-            _write_down(configuration, path)
+            place.write_config(configuration)
             summary = learner.run(stop.is_set)
-        out.write(
+        typer.echo(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
             f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
-            f"{summary['recoveries']} recoveries\n"
+            f"{summary['recoveries']} recoveries",
+            place.out,
         )
         if summary["updates"]:
-            out.write(f"policy      {path / 'latest' / 'policy.onnx'}\n")
-        out.flush()
-    return _end(summary, stop, as_json=as_json)
+            typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
+    return place.end(summary, stop)
 
 
 def learn_from(
-    configuration: Configuration,
-    path: Path,
-    source: str,
-    *,
-    env: str | None,
-    connect: str,
-    metrics_host: str,
-    metrics_port: int | None,
-    resume: bool,
-    as_json: bool,
+    configuration: Configuration, place: Place, source: str, *, env: str | None, connect: str
 ) -> int:
     """Learn from the replay of another run, without actors.
 
-    Args:
-        configuration: Of this run; the replay says which environment it is.
-        path: Directory of this run.
-        source: A run directory, or the name of a run whose learner listens on ``connect``.
-        env: What the user expects it to be of, if anything.
-        connect: Endpoint of that learner.
-        metrics_host: Where metrics are served.
-        metrics_port: The port; -1: not served.
-        resume: Go on with ``path``.
-        as_json: End with the summary as one line.
+    The replay, ``source`` as in `source_of`, says which environment it is; ``env`` is the one
+    that the user expects, if any.
 
     Returns:
         The exit code.
@@ -128,107 +150,81 @@ def learn_from(
             a learner answers with.
         A2SError: The replay cannot be read or reached.
     """
-    logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(message)s")
-    if configuration.run.variant != "off-policy":
+    hyper = configuration.hyper
+    if not isinstance(hyper, OffPolicyConfig):
         raise UsageError("--replay-from: only --variant off-policy learns from a replay")
-    _require_device(configuration.run.device)
-    out, metrics = sys.stderr if as_json else sys.stdout, LearnerMetrics()
+    _prepare_process(configuration.run)
     with ExitStack() as stack:
-        hyper = configuration.hyper
-        assert isinstance(hyper, OffPolicyConfig)
-        if not Path(source).is_dir():
-            _require_askable(hyper)
-        replay, about, size, most = source_of(source, connect, stack, hyper.priority_exponent)
+        replay, about, size, max_size = source_of(source, connect, stack, hyper)
         if env not in (None, about.env_id):
             raise UsageError(
                 f"--env: found {env}, expected {about.env_id}, as the replay of {source}"
             )
         run = replace(configuration.run, env=about.env_id)
         configuration = replace(configuration, run=run)
-        stop = stack.enter_context(stop_on_signals())
-        url = stack.enter_context(_served(metrics, metrics_host, metrics_port))
-        stack.enter_context(run_directory.claimed(path))
-        learner = FromReplay(
+        stop, metrics, url = stack.enter_context(place.opened(run))
+        title = f"{run.run}: {run.env}"
+        view = stack.enter_context(closing(make_view(title, quiet=place.as_json)))
+        learner = make_replay_learner(
             configuration=configuration,
             spaces=about.spaces,
-            source=replay,
+            replay=replay,
             size=size,
-            most=most,
-            path=path,
+            max_size=max_size,
+            path=place.path,
             metrics=metrics,
-            resume=resume,
+            view=view,
+            resume=place.resume,
         )
-        metrics.run.info(
-            {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
-        )
-        _write_down(configuration, path)
-        out.write(
+        place.write_config(configuration)
+        typer.echo(
             f"a2s learner: {run.env} from the replay of {source}, {size():,} transitions\n"
-            f"  metrics     {url}\n  run         {path}\n"
+            f"  metrics     {url}\n  run         {place.path}",
+            place.out,
         )
-        out.flush()
         summary = learner.run(stop.is_set)
-    policy = path / "latest" / "policy.onnx"
-    out.write(
-        f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s\npolicy      {policy}\n"
-    )
-    out.flush()
-    return _end(summary, stop, as_json=as_json)
-
-
-def _require_askable(hyper: OffPolicyConfig) -> None:
-    for name, most in {"n_step": MOST_STEPS, "batch_rows": MOST_SAMPLED}.items():
-        if (found := getattr(hyper, name)) > most:
-            raise UsageError(
-                f"{name}: found {found}, expected at most {most} from a replay over the network; "
-                "set less, or name a run directory"
-            )
-
-
-def _write_down(configuration: Configuration, path: Path) -> None:
-    """Only once the run can go on with it: what was there before is resumed by default."""
-    text = configuration.to_toml()
-    run_directory.write_atomically(path / run_directory.CONFIG, text.encode())
-
-
-def _require_device(device: str) -> None:
-    if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")
-
-
-def _end(summary: dict[str, Any], stop: Stop, *, as_json: bool) -> int:
-    """Give the summary to whoever wants it as JSON, and the exit code."""
-    if as_json:
-        sys.stdout.write(json.dumps(summary) + "\n")
-    return EXIT_INTERRUPTED if stop.interrupted else 0
+    typer.echo(f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s", place.out)
+    typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
+    return place.end(summary, stop)
 
 
 def source_of(
-    source: str, connect: str, stack: ExitStack, exponent: float
-) -> tuple[Source, Description | ReplayInfo, Callable[[], int], int]:
+    source: str, connect: str, stack: ExitStack, hyper: OffPolicyConfig
+) -> tuple[AnyReplay, Description | ReplayInfo, Callable[[], int], int]:
     """Open the replay of a run.
 
     Args:
         source: A run directory, or the name of a run whose learner listens on ``connect``.
         connect: Endpoint of that learner.
         stack: Closes what was opened.
-        exponent: Of the priorities of a directory; a learner that serves has its own.
+        hyper: Of the run that learns. A directory is drawn from by its priority exponent; a
+            learner that serves has its own.
 
     Returns:
-        The replay, what it is, how many transitions it holds now, and at most.
+        The replay, its description, a call for the number of transitions that it holds now, and
+        the most that it can hold.
 
     Raises:
-        UsageError: The source is a path, but not that of a directory.
+        UsageError: The source is a path, but not that of a directory, or a batch is more than a
+            learner answers with.
         A2SError: The replay cannot be read or reached.
     """
     if Path(source).is_dir():
-        stored = directory.look_at(directory.find(Path(source)), alpha=exponent, alone=True)
+        stored = directory.look_at(
+            directory.find(Path(source)), alpha=hyper.priority_exponent, alone=True
+        )
         stack.callback(stored.close)
         return stored, stored.about, lambda: len(stored), len(stored)
-    if os.sep in source:  # no name of a run has one
+    if os.sep in source:  # the name of a run has none
         raise UsageError(
             f"--replay-from: found no directory {source}; name that of a run, or a run at --connect"
         )
+    for name, most in {"n_step": MAX_STEPS, "batch_rows": MAX_SAMPLED}.items():
+        if (found := getattr(hyper, name)) > most:
+            raise UsageError(
+                f"{name}: found {found}, expected at most {most} from a replay over the network; "
+                "set less, or name a run directory"
+            )
     bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
     remote = RemoteReplay(bus, Keys(source))
 
@@ -240,27 +236,20 @@ def source_of(
     return remote, about, size, about.capacity
 
 
-@contextmanager
-def _served(metrics: LearnerMetrics, host: str, port: int | None) -> Iterator[str]:
-    """Serve metrics as long as the block lasts, and give their address."""
-    if port == -1:
-        yield "off"
-        return
-    bound, stop = serve_on(port, METRICS_PORT, lambda chosen: metrics.serve(host, chosen))
-    try:
-        yield f"http://{host}:{bound}/metrics"
-    finally:
-        stop()
+def _prepare_process(run: RunConfig) -> None:
+    """Set what holds for the whole process: its log, and how torch uses cores and memory."""
+    log_warnings()
+    if run.device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")
+    torch.set_num_threads(run.threads)
+    keep_freed_memory()
 
 
-def _banner(configuration: Configuration, path: Path, endpoint: str, metrics_url: str) -> str:
-    run = configuration.run
-    join = "a2s actor --n 2"
-    if endpoint != DEFAULT_ENDPOINT:
-        join += f" --connect {endpoint}"
-    if run.run != "default":
-        join += f" --run {run.run}"
-    loud = "" if any(part in endpoint for part in _LOOPBACK) else (
+def _banner(run: RunConfig, path: Path, endpoint: str, metrics_url: str) -> str:
+    connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
+    name = "" if run.run == "default" else f" --run {run.run}"
+    is_loopback = any(part in endpoint for part in _LOOPBACK)
+    loud = "" if is_loopback else (
         "\n  WARNING     this is not loopback and not encrypted: use it on trusted networks only"
     )  # fmt: skip
     return (
@@ -269,5 +258,5 @@ def _banner(configuration: Configuration, path: Path, endpoint: str, metrics_url
         f"  listens on  {endpoint}{loud}\n"
         f"  metrics     {metrics_url}\n"
         f"  run         {path}\n"
-        f"  join it     {join}\n"
+        f"  join it     a2s actor --n 2{connect}{name}"
     )

@@ -14,6 +14,8 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.spaces import Box
 
 from a2s import __version__
 from a2s.learner.replay.episodes import Episode, StoredEpisodes
@@ -40,55 +42,36 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         data set does not say how to make its environment, ``None`` where it does.
 
     Raises:
-        UsageError: Minari is not installed, the name is taken or none, no data set can be kept in
-            ``root``, or no episode is whole.
+        UsageError: Minari is not installed, the name is taken or malformed, ``root`` cannot hold
+            a data set, or no episode is whole.
         RunDirectoryError: There is no replay, or it is damaged.
         A2SError: The data set cannot be written, for example for want of room; none is left.
     """
     if any(importlib.util.find_spec(module) is None for module in ("minari", "h5py")):
         raise UsageError("export needs minari with hdf5; install them: pip install 'a2s[minari]'")
     import minari
-    from minari.data_collector import EpisodeBuffer
 
     namespace = _namespace_of(dataset_id)
     kept = os.environ.get(_VARIABLE) or Path.home() / ".minari" / "datasets"
     root = Path(root or kept).absolute()  # Minari takes a relative one for relative to itself
-    episodes = StoredEpisodes(path)
-    spaces = episodes.about.spaces
-    low, high = spaces.action_low, spaces.action_high
-    spec, no_spec = spec_of(episodes.about.env_id)
-    buffers = []
-    room = 0
-    for index, episode in enumerate(episodes):
-        steps = len(episode.reward)
-        ends = np.arange(steps) == steps - 1
-        room += room_of(episode)
-        buffers.append(
-            EpisodeBuffer(
-                id=index,
-                observations=episode.obs,
-                actions=executed(episode.action, spaces),
-                rewards=episode.reward.tolist(),
-                terminations=(ends & episode.terminated).tolist(),
-                truncations=(ends & (not episode.terminated)).tolist(),
-            )
-        )
-    if not buffers:
-        raise UsageError(f"replay {path}: found no whole episode, {episodes.left_out} in part")
+    stored = StoredEpisodes(path)
+    spaces = stored.about.spaces
+    spec, no_spec = spec_of(stored.about.env_id)
+    episodes = list(stored)
+    if not episodes:
+        raise UsageError(f"replay {path}: found no whole episode, {stored.left_out} in part")
     with _whole_or_not(dataset_id, namespace, root) as partial:
-        _require_room(partial, room)
+        _require_room(partial, sum(map(room_of, episodes)))
         with _kept_in(partial), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about an author that we do not know
             dataset = minari.create_dataset_from_buffers(
                 dataset_id=dataset_id,
-                buffer=buffers,
+                buffer=[_buffer(i, episode, spaces) for i, episode in enumerate(episodes)],
                 env=spec,
-                observation_space=gymnasium.spaces.Box(
-                    -np.inf, np.inf, (spaces.obs_size,), np.float32
-                ),
-                action_space=gymnasium.spaces.Box(low, high, dtype=np.float32),
+                observation_space=Box(-np.inf, np.inf, (spaces.obs_size,), np.float32),
+                action_space=Box(spaces.action_low, spaces.action_high, dtype=np.float32),
                 algorithm_name=f"a2s {__version__}",
-                description=f"Transitions of {episodes.about.env_id}, from a replay of a2s.",
+                description=f"Transitions of {stored.about.env_id}, from a replay of a2s.",
                 data_format="hdf5",
             )
         return {
@@ -96,9 +79,23 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
             "path": str(root / dataset_id),
             "episodes": int(dataset.total_episodes),
             "steps": int(dataset.total_steps),
-            "left_out": episodes.left_out,
+            "left_out": stored.left_out,
             "no_env_spec": no_spec,
         }
+
+
+def _buffer(index: int, episode: Episode, spaces: Spaces) -> Any:
+    from minari.data_collector import EpisodeBuffer
+
+    ends = np.arange(len(episode.reward)) == len(episode.reward) - 1
+    return EpisodeBuffer(
+        id=index,
+        observations=episode.obs,
+        actions=executed(episode.action, spaces),
+        rewards=episode.reward.tolist(),
+        terminations=(ends & episode.terminated).tolist(),
+        truncations=(ends & (not episode.terminated)).tolist(),
+    )
 
 
 def executed(action: Array, spaces: Spaces) -> Array:
@@ -116,14 +113,11 @@ def executed(action: Array, spaces: Spaces) -> Array:
     return np.clip(wide, low, high)
 
 
-def spec_of(env_id: str) -> tuple["gymnasium.envs.registration.EnvSpec | None", str | None]:
+def spec_of(env_id: str) -> tuple[EnvSpec | None, str | None]:
     """Find how to make the environment; the data are of use without it too.
 
-    Args:
-        env_id: Gymnasium id, or module:Id-v0.
-
     Returns:
-        What can be written down, and ``None``; or ``None``, and why there is none.
+        The spec, and ``None``; or ``None``, and why there is none that can be written down.
     """
     module, _, name = env_id.rpartition(":")
     try:
@@ -132,23 +126,15 @@ def spec_of(env_id: str) -> tuple["gymnasium.envs.registration.EnvSpec | None", 
         spec = copy.copy(gymnasium.spec(name))
     except (gymnasium.error.Error, ImportError) as error:
         return None, " ".join(str(error).split())
-    spec.entry_point = _named(spec.entry_point)
+    made_by: Any = spec.entry_point
+    module, name = (getattr(made_by, key, "") for key in ("__module__", "__qualname__"))
+    if module != "__main__" and getattr(sys.modules.get(module), name, None) is made_by:
+        spec.entry_point = f"{module}:{name}"  # a class, by a name under which it is found again
     try:
         spec.to_json()
     except (TypeError, ValueError):  # the latter for what can be called
         return None, "it was registered with objects that cannot be written down as text"
     return spec, None
-
-
-def _named(entry_point: Any) -> Any:
-    """Put the name of a class in its place, if it can be found by that again."""
-    module = sys.modules.get(getattr(entry_point, "__module__", ""))
-    name = getattr(entry_point, "__qualname__", "")
-    if module is None or module.__name__ == "__main__":
-        return entry_point
-    return (
-        f"{module.__name__}:{name}" if getattr(module, name, None) is entry_point else entry_point
-    )
 
 
 def _namespace_of(dataset_id: str) -> str | None:
@@ -164,11 +150,9 @@ def _namespace_of(dataset_id: str) -> str | None:
 
 
 def room_of(episode: Episode) -> int:
-    """Bytes in a file of HDF5, which has groups of 14 KiB and fills up chunks; some too many."""
-    steps = len(episode.reward)
-    return (
-        _GROUP_BYTES + (episode.obs.nbytes + episode.action.nbytes + steps * (8 + 1 + 1)) * 9 // 8
-    )
+    """Bytes in an HDF5 file, rather too many: groups of 14 KiB, and chunks that are filled up."""
+    flags_and_reward = len(episode.reward) * (8 + 1 + 1)
+    return _GROUP_BYTES + (episode.obs.nbytes + episode.action.nbytes + flags_and_reward) * 9 // 8
 
 
 def _require_room(path: Path, num_bytes: int) -> None:
@@ -225,7 +209,6 @@ def _kept_in(root: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if before is None:
-            os.environ.pop(_VARIABLE, None)
-        else:
+        os.environ.pop(_VARIABLE)
+        if before is not None:
             os.environ[_VARIABLE] = before

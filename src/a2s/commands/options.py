@@ -1,310 +1,233 @@
 """The options that commands share: one definition each, with a variable of the environment.
 
 An option that is not given is ``None``, so that a configuration file can have its say:
-option, then variable, then file, then default.
+option, then variable, then file, then default. Parameters of commands are named as the
+configuration names them, so that `named` can read them from the context of a command.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from a2s.commands.whole_number import whole_number
+from a2s.learner.numerals import whole
+from a2s.protocol.errors import UsageError
 
 _RUN = "The run"
+_ENVIRONMENT = "The environment"
 _ALGORITHM = "The algorithm"
 _PLACE = "Where"
+LOOPBACK = "127.0.0.1"
+_MAX_SHOWN = 100_000  # a range that ends beyond says nothing to a reader
+
+OF_ENVIRONMENT = (
+    "env", "env_kwargs", "wrappers", "action_repeat", "frame_stack", "max_episode_steps",
+    "env_timeout_s", "info_metrics",
+)  # fmt: skip
+OF_RUN = (
+    *OF_ENVIRONMENT, "total_steps", "seed", "run", "variant", "algo", "preset", "suggestions",
+    "recovery", "lockstep", "n", "envs", "threads", "device", "keep_policy_every_updates",
+)  # fmt: skip
 
 
-def option(*names: str, env: str, help: str, panel: str, **more: Any) -> Any:  # noqa: A002
-    """Make an option with a variable of the environment, in a panel of the help."""
-    more = {"show_envvar": False, **more}  # they all follow one rule, which the program's help says
-    return typer.Option(*names, envvar=env, help=help, rich_help_panel=panel, **more)
+def named(context: typer.Context, names: Iterable[str]) -> dict[str, Any]:
+    """Read parameters of a command: ``None`` where not given, tuples where repeatable."""
+    values = {name: context.params[name] for name in names}
+    return {n: tuple(v) or None if isinstance(v, list | tuple) else v for n, v in values.items()}
 
 
-def whole(*names: str, env: str, help: str, panel: str, **more: Any) -> Any:  # noqa: A002
-    """Make one that takes a whole number."""
-    more = {"show_envvar": False, **more}
-    return whole_number(*names, env=env, help=help, rich_help_panel=panel, **more)
+def words(context: typer.Context, given: dict[str, Any]) -> list[str]:
+    """Write what was given, as `named` reads it, on a command line again."""
+    options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
+    values = {n: v if isinstance(v, tuple) else (v,) for n, v in given.items() if v is not None}
+    return [word for n, many in values.items() for v in many for word in (options[n], str(v))]
 
 
-Env = Annotated[
-    str | None,
-    option(
-        "--env",
-        metavar="ENV",
-        env="A2S_ENV",
-        help="Gymnasium id, module:Id-v0, module:Class, or ./FILE.py:Id-v0.",
-        panel=_RUN,
-        show_default="Hopper-v5",
-    ),
-]
-TotalSteps = Annotated[
-    int | None,
-    whole(
-        "--total-steps",
-        env="A2S_TOTAL_STEPS",
-        help="Environment steps at which the run ends, for example 1e6.",
-        panel=_RUN,
-        least=1,
-        show_default="1000000",
-    ),
-]
-Seed = Annotated[
-    int | None,
-    whole(
-        "--seed",
-        env="A2S_SEED",
-        help="Seed of everything.",
-        panel=_RUN,
-        least=0,
-        most=2**63 - 1,
-        show_default="0",
-    ),
-]
-Run = Annotated[
-    str | None,
-    option(
-        "--run",
-        metavar="NAME",
-        env="A2S_RUN",
-        help="Name of the run: actors join it by this name.",
-        panel=_RUN,
-        show_default="default",
-    ),
-]
-RunDir = Annotated[
-    Path | None,
-    option(
-        "--run-dir",
-        metavar="DIR",
-        env="A2S_RUN_DIR",
-        help="Directory of the run.",
-        panel=_RUN,
-        show_default="runs/RUN, or the first free of runs/RUN-2, ...",
-    ),
-]
-Resume = Annotated[
-    bool,
-    option(
-        "--resume",
-        env="A2S_RESUME",
-        help="Go on from the newest checkpoint of the run.",
-        panel=_RUN,
-    ),
-]
-Config = Annotated[
-    Path | None,
-    option(
-        "--config",
-        metavar="FILE",
-        env="A2S_CONFIG",
-        help="TOML file with the tables run and hyper, as every run directory has one.",
-        panel=_RUN,
-    ),
-]
-Variant = Annotated[
-    str | None,
-    option(
-        "--variant",
-        metavar="on-policy|off-policy",
-        env="A2S_VARIANT",
-        help="on-policy (algorithm 1 of the paper) or off-policy (algorithm 2).",
-        panel=_ALGORITHM,
-        show_default="on-policy",
-    ),
-]
-Algo = Annotated[
-    str | None,
-    option(
-        "--algo",
-        metavar="a2s|a2c",
-        env="A2S_ALGO",
-        help="a2s, or a2c: one suggestion and no Q.",
-        panel=_ALGORITHM,
-        show_default="a2s",
-    ),
-]
-Preset = Annotated[
-    str | None,
-    option(
-        "--preset",
-        metavar="NAME",
-        env="A2S_PRESET",
-        help="Hyperparameters: modern, authors or paper; off-policy modern, sac or paper.",
-        panel=_ALGORITHM,
-        show_default="modern",
-    ),
-]
-Suggestions = Annotated[
-    int | None,
-    whole(
-        "--suggestions",
-        env="A2S_SUGGESTIONS",
-        help="K, the actions among which Q picks.",
-        panel=_ALGORITHM,
-        show_default="from the preset",
-    ),
-]
-Recovery = Annotated[
-    bool | None,
-    option(
-        "--recovery/--no-recovery",
-        env="A2S_RECOVERY",
-        help="Go back to the best networks when returns fall (equation 5); on-policy only.",
-        panel=_ALGORITHM,
-        show_default="on for a2s, off for a2c",
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    option(
-        "--set",
-        env="A2S_SET",
-        help="KEY=VALUE of any hyperparameter (--print-config shows them); may be repeated.",
-        panel=_ALGORITHM,
-        metavar="KEY=VALUE",
-    ),
-]
-Lockstep = Annotated[
-    bool | None,
-    option(
-        "--lockstep/--async",
-        env="A2S_LOCKSTEP",
-        help="Use each version for one batch, reproducibly; or never let actors wait.",
-        panel=_ALGORITHM,
-        show_default="lockstep",
-    ),
-]
-PrintConfig = Annotated[
-    bool,
-    option(
-        "--print-config",
-        env="A2S_PRINT_CONFIG",
-        help="Show every setting with its source, and do nothing else.",
-        panel=_ALGORITHM,
-    ),
-]
-N = Annotated[
-    int | None,
-    whole("--n", "-n", env="A2S_N", help="Actor processes.", panel=_PLACE, least=1),
-]
-Envs = Annotated[
-    int | None,
-    whole(
-        "--envs",
-        env="A2S_ENVS",
-        help="Environments in each actor process.",
-        panel=_PLACE,
-        least=1,
-        most=4096,
-        show_default="8",
-    ),
-]
-KeepPolicyEvery = Annotated[
-    int | None,
-    whole(
-        "--keep-policy-every",
-        env="A2S_KEEP_POLICY_EVERY",
-        help="Keep the policy after every so many updates, in policies/; 0 keeps none.",
-        panel=_RUN,
-        least=0,
-        show_default="0",
-    ),
-]
-Threads = Annotated[
-    int | None,
-    whole(
-        "--threads",
-        env="A2S_THREADS",
-        help="Threads of torch in the learner.",
-        panel=_PLACE,
-        least=1,
-        show_default="1",
-    ),
-]
-Device = Annotated[
-    str | None,
-    option(
-        "--device",
-        metavar="cpu|cuda",
-        env="A2S_DEVICE",
-        help="Where the learner's networks are, off-policy: cpu or cuda.",
-        panel=_PLACE,
-        show_default="cpu",
-    ),
-]
-Listen = Annotated[
-    str | None,
-    option(
-        "--listen",
-        env="A2S_LISTEN",
-        help="Endpoint on which the learner listens.",
-        panel=_PLACE,
-        metavar="ENDPOINT",
-        show_default="tcp/127.0.0.1:7447",
-    ),
-]
-Connect = Annotated[
-    str,
-    option(
-        "--connect",
-        env="A2S_CONNECT",
-        help="Endpoint of the learner.",
-        panel=_PLACE,
-        metavar="ENDPOINT",
-    ),
-]
-MetricsPort = Annotated[
-    int | None,
-    whole(
-        "--metrics-port",
-        env="A2S_METRICS_PORT",
-        help="Port of /metrics: 0 takes any free one, -1 serves none.",
-        panel=_PLACE,
-        least=-1,
-        most=65535,
-    ),
-]
-MetricsHost = Annotated[
-    str,
-    option(
-        "--metrics-host",
-        env="A2S_METRICS_HOST",
-        help="Address on which /metrics is served.",
-        panel=_PLACE,
-    ),
-]
-Json = Annotated[
-    bool,
-    option(
-        "--json",
-        env="A2S_JSON",
-        help="Print one JSON object as the last line of standard output.",
-        panel=_PLACE,
-    ),
-]
-Episodes = Annotated[
-    int,
-    whole("--episodes", env="A2S_EPISODES", help="Episodes to play.", panel=_RUN, least=1),
-]
-Mode = Annotated[
-    str,
-    option(
-        "--mode",
-        metavar="mean|best-of-k|behaviour",
-        env="A2S_MODE",
-        help="How to act: mean, best-of-k or behaviour.",
-        panel=_ALGORITHM,
-    ),
-]
-WhichWeights = Annotated[
-    str,
-    option(
-        "--weights",
-        metavar="latest|best",
-        env="A2S_WEIGHTS",
-        help="Which policy of a run: latest, or best (by training returns).",
-        panel=_RUN,
-    ),
-]
+def option(panel: str | None, *names: str, **settings: Any) -> Any:
+    """Make an option in a panel of the help; ``--total-steps`` has the variable A2S_TOTAL_STEPS.
+
+    The variable is not shown: all follow this one rule, which the program's help says.
+    """
+    common = {"envvar": _variable(names[0]), "show_envvar": False, "rich_help_panel": panel}
+    return typer.Option(*names, **{**common, **settings})
+
+
+def whole_number(
+    panel: str | None, *names: str, low: int | None = None, high: int | None = None, **settings: Any
+) -> Any:
+    """Make an option that takes a whole number within a closed range, also written as ``1e6``."""
+    variable = settings.get("envvar", _variable(names[0]))
+    subject = f"{names[0]} or {variable}" if variable else names[0]
+
+    def parse(given: str | int) -> int:
+        try:
+            number = whole(given)
+        except ValueError:
+            raise UsageError(
+                f"{subject}: found {given!r}, expected a whole number such as 1000 or 1e6"
+            ) from None
+        if (low is not None and number < low) or (high is not None and number > high):
+            span = f"at least {low}" if high is None else f"{low} to {high}"
+            raise UsageError(f"{subject}: found {given}, expected {span}")
+        return number
+
+    is_shown = low is not None and high is not None and high < _MAX_SHOWN
+    metavar = f"{low}..{high}" if is_shown else "N"
+    return option(panel, *names, **{"parser": parse, "metavar": metavar, **settings})
+
+
+def _variable(name: str) -> str:
+    return name.partition("/")[0].replace("--", "A2S_").replace("-", "_").upper()
+
+
+# A table: the name, range and default of each option, then its help.
+# fmt: off
+
+Env = Annotated[str | None, option(
+    _RUN, "--env", metavar="ENV", show_default="Hopper-v5",
+    help="Gymnasium id, module:Id-v0, module:Class, or ./FILE.py:Id-v0.",
+)]
+TotalSteps = Annotated[int | None, whole_number(
+    _RUN, "--total-steps", low=1, show_default="1000000",
+    help="Environment steps at which the run ends, for example 1e6.",
+)]
+Seed = Annotated[int | None, whole_number(
+    _RUN, "--seed", low=0, high=2**63 - 1, show_default="0", help="Seed of everything.",
+)]
+Run = Annotated[str | None, option(
+    _RUN, "--run", metavar="NAME", show_default="default",
+    help="Name of the run: actors join it by this name.",
+)]
+RunDir = Annotated[Path | None, option(
+    _RUN, "--run-dir", metavar="DIR", show_default="runs/RUN, or the first free of runs/RUN-2, ...",
+    help="Directory of the run.",
+)]
+Resume = Annotated[bool, option(
+    _RUN, "--resume", help="Go on from the newest checkpoint of the run.",
+)]
+Config = Annotated[Path | None, option(
+    _RUN, "--config", metavar="FILE",
+    help="TOML file with the tables run and hyper, as every run directory has one.",
+)]
+KeepPolicyEvery = Annotated[int | None, whole_number(
+    _RUN, "--keep-policy-every", low=0, show_default="0",
+    help="Keep a copy of the policy in policies/ after every N updates; 0: never.",
+)]
+Episodes = Annotated[int, whole_number(
+    _RUN, "--episodes", low=1, help="Episodes to play.",
+)]
+WhichWeights = Annotated[str, option(
+    _RUN, "--weights", metavar="latest|best",
+    help="Which policy of a run: latest, or best (by training returns).",
+)]
+
+EnvKwargs = Annotated[list[str] | None, option(
+    _ENVIRONMENT, "--env-kwargs", metavar="KEY=VALUE",
+    help="KEY=VALUE of its constructor, VALUE in JSON or a text; may be repeated.",
+)]
+Wrapper = Annotated[list[str] | None, option(
+    _ENVIRONMENT, "--wrapper", metavar="CLASS",
+    help="module:Class or module:Class={JSON} around it; may be repeated, innermost first.",
+)]
+ActionRepeat = Annotated[int | None, whole_number(
+    _ENVIRONMENT, "--action-repeat", low=1, high=1000, show_default="1",
+    help="Environment steps for each action; their rewards are added up.",
+)]
+FrameStack = Annotated[int | None, whole_number(
+    _ENVIRONMENT, "--frame-stack", low=1, high=1000, show_default="1",
+    help="Latest observations that the policy sees at once.",
+)]
+MaxEpisodeSteps = Annotated[int | None, whole_number(
+    _ENVIRONMENT, "--max-episode-steps", low=1, high=2 ** 31 - 1, show_default="its own limit",
+    help="Environment steps after which an episode is truncated.",
+)]
+EnvTimeout = Annotated[float | None, option(
+    _ENVIRONMENT, "--env-timeout", metavar="SECONDS", min=0.001, show_default="120",
+    help="Seconds in which a call into it must return; else its process is replaced.",
+)]
+InfoMetric = Annotated[list[str] | None, option(
+    _ENVIRONMENT, "--info-metric", metavar="KEY",
+    help="Key of info whose number is kept with each episode, besides is_success; repeatable.",
+)]
+
+Variant = Annotated[str | None, option(
+    _ALGORITHM, "--variant", metavar="on-policy|off-policy", show_default="on-policy",
+    help="on-policy (algorithm 1 of the paper) or off-policy (algorithm 2).",
+)]
+Algo = Annotated[str | None, option(
+    _ALGORITHM, "--algo", metavar="a2s|a2c", show_default="a2s",
+    help="a2s, or a2c: one suggestion and no Q.",
+)]
+Preset = Annotated[str | None, option(
+    _ALGORITHM, "--preset", metavar="NAME", show_default="modern",
+    help="Hyperparameters: modern, authors or paper; off-policy modern, sac or paper.",
+)]
+Suggestions = Annotated[int | None, whole_number(
+    _ALGORITHM, "--suggestions", show_default="from the preset",
+    help="K, the actions among which Q picks.",
+)]
+Recovery = Annotated[bool | None, option(
+    _ALGORITHM, "--recovery/--no-recovery", show_default="on for a2s, off for a2c",
+    help="Go back to the best networks when returns fall (equation 5); on-policy only.",
+)]
+Set = Annotated[list[str] | None, option(
+    _ALGORITHM, "--set", metavar="KEY=VALUE",
+    help="KEY=VALUE of any hyperparameter (--print-config shows them); may be repeated.",
+)]
+Lockstep = Annotated[bool | None, option(
+    _ALGORITHM, "--lockstep/--async", show_default="lockstep",
+    help="Use each version for one batch, reproducibly; or never let actors wait.",
+)]
+PrintConfig = Annotated[bool, option(
+    _ALGORITHM, "--print-config", help="Show every setting with its source, and do nothing else.",
+)]
+Mode = Annotated[str, option(
+    _ALGORITHM, "--mode", metavar="mean|best-of-k|behaviour",
+    help="How to act: mean, best-of-k or behaviour.",
+)]
+
+N = Annotated[int | None, whole_number(
+    _PLACE, "--n", "-n", low=1, help="Actor processes.",
+)]
+Envs = Annotated[int | None, whole_number(
+    _PLACE, "--envs", low=1, high=4096, show_default="8",
+    help="Environments in each actor process.",
+)]
+Threads = Annotated[int | None, whole_number(
+    _PLACE, "--threads", low=1, show_default="1", help="Threads of torch in the learner.",
+)]
+Device = Annotated[str | None, option(
+    _PLACE, "--device", metavar="cpu|cuda", show_default="cpu",
+    help="Where the learner's networks are, off-policy: cpu or cuda.",
+)]
+Listen = Annotated[str | None, option(
+    _PLACE, "--listen", metavar="ENDPOINT", show_default="tcp/127.0.0.1:7447",
+    help="Endpoint on which the learner listens.",
+)]
+Connect = Annotated[str, option(
+    _PLACE, "--connect", metavar="ENDPOINT", help="Endpoint of the learner.",
+)]
+ReplayFrom = Annotated[str | None, option(
+    None, "--replay-from", metavar="RUN", show_envvar=True,
+    help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
+)]
+OutboxSteps = Annotated[int, whole_number(
+    None, "--outbox-steps", low=1, show_envvar=True,
+    help="Steps that each process keeps at most while the learner is away.",
+)]
+SpoolSteps = Annotated[int | None, whole_number(  # the former name of the same
+    None, "--spool-steps", low=1, hidden=True,
+)]
+MetricsPort = Annotated[int | None, whole_number(
+    _PLACE, "--metrics-port", low=-1, high=65535,
+    help="Port of /metrics: 0 takes any free one, -1 serves none.",
+)]
+MetricsHost = Annotated[str, option(
+    _PLACE, "--metrics-host", help="Address on which /metrics is served.",
+)]
+Json = Annotated[bool, option(
+    _PLACE, "--json", help="Print one JSON object as the last line of standard output.",
+)]
+
+# fmt: on

@@ -33,24 +33,18 @@ def read_curve(episodes: Path, what: str = "return") -> tuple[Curve, Curve]:
         Environment steps and value of every finished episode that has one, each ``[E]``.
 
     Raises:
-        UsageError: There are no episodes, or none has ended yet.
+        UsageError: The file cannot be read, or no episode has ended yet.
     """
     opened = gzip.open if episodes.suffix == ".gz" else open
     try:
         with opened(episodes, "rt", newline="") as file:
             rows = [(int(r["env_steps"]), float(r[what])) for r in csv.DictReader(file) if r[what]]
     except (OSError, KeyError, ValueError, TypeError) as error:
-        raise UsageError(f"{episodes}: are no episodes of a run: {error}") from None
+        raise UsageError(f"{episodes}: cannot be read as the episodes of a run: {error}") from None
     if not rows:
         raise UsageError(f"{episodes}: no episode has ended yet")
     steps, returns = zip(*rows, strict=True)
     return np.array(steps, dtype=np.float64), np.array(returns)
-
-
-def metrics_in(episodes: Path) -> list[str]:
-    """Name what environments told of their episodes, the columns after ours."""
-    with episodes.open(newline="") as file:
-        return next(csv.reader(file), [])[len(EPISODE_COLUMNS) :]
 
 
 def smooth(values: Curve, window: int = _WINDOW) -> Curve:
@@ -85,7 +79,7 @@ def plot(runs: list[Path], output: Path) -> list[str]:
     """Draw the runs: one panel per environment and metric, one colour for each way of learning.
 
     Returns:
-        Why runs were left out, of each one line; others were drawn.
+        One line for each run that was left out, and why; the others were drawn.
 
     Raises:
         UsageError: No run can be drawn, or the picture cannot be written.
@@ -97,7 +91,9 @@ def plot(runs: list[Path], output: Path) -> list[str]:
             env, label = identity(run)
             episodes = run / "episodes.csv"
             curves = {env: read_curve(episodes)}
-            curves |= {f"{env}: {m}": read_curve(episodes, m) for m in metrics_in(episodes)}
+            with episodes.open(newline="") as file:  # metrics have the columns after ours
+                metrics = next(csv.reader(file), [])[len(EPISODE_COLUMNS) :]
+            curves |= {f"{env}: {metric}": read_curve(episodes, metric) for metric in metrics}
         except UsageError as error:
             left_out.append(str(error))
         else:
@@ -110,7 +106,7 @@ def plot(runs: list[Path], output: Path) -> list[str]:
 
 
 def draw(panels: Panels, output: Path) -> None:
-    """Draw curves, for each seed and their mean; what has one name has one colour in all panels.
+    """Draw curves, for each seed and their mean; a label has one colour in all panels.
 
     Raises:
         UsageError: The picture cannot be written.
@@ -120,12 +116,12 @@ def draw(panels: Panels, output: Path) -> None:
         for title, groups in panels.items()
     }
     rows = max("\n".join(legend.values()).count("\n") + 1 for legend in legends.values())
+    labels = sorted({label for groups in panels.values() for label in groups})
     size = (6 * len(panels), 4.2 + 0.25 * rows)
-    colours = colours_of(panels)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
     for axis, (title, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for label, curves in sorted(groups.items()):
-            colour = colours[label]
+            colour = f"C{labels.index(label)}"  # of matplotlib's cycle
             steps, returns = on_a_grid(curves)
             axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
             mean = smooth(returns.mean(0))
@@ -145,15 +141,9 @@ def draw(panels: Panels, output: Path) -> None:
 
 
 def _legend(label: str, num_seeds: int) -> str:
-    """Say it in lines that are no wider than a panel: others fall off the picture."""
+    """Wrap a label to the width of a panel: wider lines fall off the picture."""
     seeds = "1 seed" if num_seeds == 1 else f"{num_seeds} seeds"
     return textwrap.fill(f"{label} ({seeds})", _LETTERS, break_on_hyphens=False)
-
-
-def colours_of(panels: Panels) -> dict[str, str]:
-    """Give every way of learning a colour of matplotlib's cycle, wherever it appears."""
-    labels = sorted({label for groups in panels.values() for label in groups})
-    return {label: f"C{index}" for index, label in enumerate(labels)}
 
 
 def identity(run: Path) -> tuple[str, str]:
@@ -163,7 +153,7 @@ def identity(run: Path) -> tuple[str, str]:
     except UsageError as error:
         raise UsageError(f"{run}: is not a run directory, no usable {CONFIG}: {error}") from None
     of = found.run
-    name = f"{of.algo} {of.preset}" if of.variant == "on-policy" else f"{of.variant} {of.preset}"
+    name = f"{of.algo if of.variant == 'on-policy' else of.variant} {of.preset}"
     env = Path(of.env).name if ".py:" in of.env else of.env
     changed = [f"{k}={v}" for k, v in found.changed().items()]
     return " ".join([env, *of.env_kwargs]), ", ".join([name, *changed])

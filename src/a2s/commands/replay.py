@@ -1,29 +1,26 @@
 """``a2s replay``: looking into a replay, in a directory or served by a running learner."""
 
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from a2s.learner.replay import directory
+from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
-from a2s.learner.replay.transitions import Transitions
+from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.config import read
 from a2s.learner.run.directory import CONFIG
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import Keys
-from a2s.protocol.replay_messages import COLUMNS
+from a2s.protocol.replay_messages import COLUMNS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 
 def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
-    """Say what a replay holds.
-
-    Args:
-        path: A run or replay directory.
-        connect: Endpoint of a learner, when there is no path.
-        run: Its run.
+    """Say what a replay holds: of a run or replay directory, or of a run served at an endpoint.
 
     Returns:
         For example ``{"env": "Hopper-v5", "transitions": 81920, ...}``.
@@ -32,56 +29,42 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
         UsageError: Both, or neither, of path and endpoint are given.
         A2SError: It cannot be read or reached.
     """
-    if _is_stored(path, connect):
-        assert path is not None
-        replay = directory.look_at(directory.find(path))
-        about, live = replay.about, replay.live
-        more: dict[str, Any] = {"torn_records": replay.torn_records}
-        return _describe(about.env_id, about.spaces, about.capacity, live.start, live.stop) | more
-    assert connect is not None
-    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
-        told = RemoteReplay(bus, Keys(run)).info()
-        more = {"run": told.run, "generation": told.generation}
-        found = _describe(told.env_id, told.spaces, told.capacity, told.begin, told.end)
-        return found | more
+    if (stored := _directory(path, connect)) is not None:
+        replay = directory.look_at(stored)
+        live = replay.live
+        found = _describe(replay.about, live.start, live.stop)
+        return {**found, "torn_records": replay.torn_records}
+    with _served(connect, run) as served:
+        told = served.info()
+    found = _describe(told, told.begin, told.end)
+    return {**found, "run": told.run, "generation": told.generation}
 
 
 def sample(
     path: Path | None, connect: str | None, run: str, batch_size: int, seed: int, **how: Any
 ) -> Transitions:
-    """Draw a batch.
-
-    Args:
-        path: A run or replay directory.
-        connect: Endpoint of a learner, when there is no path.
-        run: Its run.
-        batch_size: B.
-        seed: Of the draw.
-        how: ``n_step``, ``gamma``, ``prioritised``, ``beta``, as `Replay.sample` takes them.
+    """Draw a batch from the replay that `info` describes; ``how`` is as `Replay.sample` takes it.
 
     Raises:
         UsageError: Both, or neither, of path and endpoint are given.
         A2SError: It cannot be read or reached, or it is empty.
     """
     rng = np.random.default_rng(seed)
-    if _is_stored(path, connect):
-        assert path is not None
-        stored = directory.find(path)
+    if (stored := _directory(path, connect)) is not None:
         return directory.look_at(stored, alpha=_exponent(stored)).sample(batch_size, rng, **how)
-    assert connect is not None
-    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
-        return RemoteReplay(bus, Keys(run)).sample(batch_size, rng, **how)
+    with _served(connect, run) as served:
+        return served.sample(batch_size, rng, **how)
 
 
-def write(batch: Transitions, output: Path) -> None:
-    """Write a batch as an ``.npz`` file, one array a column.
+def write(arrays: dict[str, Any], output: Path) -> None:
+    """Write the columns of a batch as an ``.npz`` file.
 
     Raises:
         UsageError: The file cannot be written.
     """
     try:
         with output.open("wb") as file:
-            np.savez(file, **as_arrays(batch))
+            np.savez(file, **arrays)
     except OSError as error:
         raise UsageError(f"{output}: {error.strerror}") from None
 
@@ -91,14 +74,8 @@ def as_arrays(batch: Transitions) -> dict[str, Any]:
     return {name: getattr(batch, name) for name in COLUMNS}
 
 
-def _exponent(stored: Path) -> float:
-    """Find the exponent that the run of a replay directory gives its priorities."""
-    config = stored.parent / CONFIG
-    hyper = read(config)[1] if config.exists() else {}
-    return float(hyper.get("priority_exponent", 0.6))
-
-
-def _is_stored(path: Path | None, connect: str | None) -> bool:
+def _directory(path: Path | None, connect: str | None) -> Path | None:
+    """Find the directory of a stored replay; ``None`` for a served one."""
     if path is not None and connect is not None:
         raise UsageError(
             f"replay: found both {path} and {connect}, from --connect or A2S_CONNECT; "
@@ -106,15 +83,29 @@ def _is_stored(path: Path | None, connect: str | None) -> bool:
         )
     if path is None and connect is None:
         raise UsageError("replay: name a run directory, or a learner with --connect ENDPOINT")
-    return path is not None
+    return None if path is None else directory.find(path)
 
 
-def _describe(env_id: str, spaces: Any, capacity: int, begin: int, end: int) -> dict[str, Any]:
+@contextmanager
+def _served(connect: str | None, run: str) -> Iterator[RemoteReplay]:
+    assert connect is not None
+    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+        yield RemoteReplay(bus, Keys(run))
+
+
+def _exponent(stored: Path) -> float:
+    """Find the exponent that the run of a replay directory gives its priorities."""
+    config = stored.parent / CONFIG
+    hyper = read(config)[1] if config.exists() else {}
+    return float(hyper.get("priority_exponent", 0.6))
+
+
+def _describe(about: Description | ReplayInfo, begin: int, end: int) -> dict[str, Any]:
     return {
-        "env": env_id,
-        "obs_size": spaces.obs_size,
-        "action_size": spaces.action_size,
-        "capacity": capacity,
+        "env": about.env_id,
+        "obs_size": about.spaces.obs_size,
+        "action_size": about.spaces.action_size,
+        "capacity": about.capacity,
         "transitions": end - begin,
         "begin": begin,
         "end": end,

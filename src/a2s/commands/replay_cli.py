@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from a2s.commands import options
-from a2s.commands.whole_number import whole_number
+from a2s.commands.options import option, whole_number
 
 app = typer.Typer(no_args_is_help=True, help="Look into a replay; export it.")
 
@@ -16,7 +16,7 @@ Stored = Annotated[
 ]
 Served = Annotated[
     str | None,
-    typer.Option("--connect", envvar="A2S_CONNECT", help="Ask the learner that listens here."),
+    option(None, "--connect", show_envvar=True, help="Ask the learner that listens here."),
 ]
 
 
@@ -31,11 +31,8 @@ def info(
     from a2s.commands import replay
 
     found = replay.info(run_dir, connect, run or "default")
-    if json_:
-        typer.echo(json.dumps(found))
-        return
-    for name, value in found.items():
-        typer.echo(f"{name:<13}{value}")
+    lines = [f"{name:<13}{value}" for name, value in found.items()]
+    typer.echo(json.dumps(found) if json_ else "\n".join(lines))
 
 
 @app.command()
@@ -44,11 +41,13 @@ def sample(
     connect: Served = None,
     run: options.Run = None,
     batch_size: Annotated[
-        int, whole_number("--batch-size", least=1, most=4096, help="Transitions.")
+        int,
+        whole_number(None, "--batch-size", low=1, high=4096, envvar=None, help="Transitions."),
     ] = 256,
     seed: options.Seed = None,
     n_step: Annotated[
-        int, whole_number("--n-step", least=1, most=64, help="Steps of each, at most.")
+        int,
+        whole_number(None, "--n-step", low=1, high=64, envvar=None, help="Steps of each, at most."),
     ] = 1,
     gamma: Annotated[float, typer.Option(min=0.0, max=1.0, help="Discount of a step.")] = 0.99,
     prioritised: Annotated[
@@ -66,9 +65,9 @@ def sample(
         run_dir, connect, run or "default", batch_size, seed or 0,
         n_step=n_step, gamma=gamma, prioritised=prioritised,
     )  # fmt: skip
-    if output is not None:
-        replay.write(batch, output)
     arrays = replay.as_arrays(batch)
+    if output is not None:
+        replay.write(arrays, output)
     if json_:
         typer.echo(json.dumps({name: array.tolist() for name, array in arrays.items()}))
         return
@@ -85,7 +84,9 @@ def export(
     dataset: Annotated[str, typer.Argument(help="Name of the data set, for example hopper-v0.")],
     root: Annotated[
         Path | None,
-        typer.Option(envvar="A2S_ROOT", help="Where to keep it.", show_default="Minari's own"),
+        option(
+            None, "--root", show_envvar=True, show_default="Minari's own", help="Where to keep it."
+        ),
     ] = None,
     json_: options.Json = False,
 ) -> None:

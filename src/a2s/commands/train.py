@@ -10,13 +10,16 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TextIO
+
+import typer
 
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
-from a2s.commands.serving import free_endpoint
-from a2s.commands.stopping import EXIT_INTERRUPTED, Stop, stop_on_signals
+from a2s.commands.process import EXIT_INTERRUPTED, Stop, free_endpoint, stop_on_signals
 from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
@@ -41,14 +44,9 @@ def train(
 ) -> int:
     """Train, evaluate, plot, and say where everything is.
 
-    Args:
-        configuration: Of the run.
-        path: Directory of the run.
-        listen: Endpoint of the learner; ``None`` takes a free port of this machine.
-        metrics_port: Of the learner; the actors take a free one.
-        resume: Go on with the run in ``path``.
-        as_json: Print the summary as the last line of standard output, and all else elsewhere.
-        evaluation: Arguments of :func:`a2s.commands.evaluate.evaluate_run`.
+    The learner listens on a free port of this machine where ``listen`` is ``None``; the actors
+    serve their metrics on a free port. ``evaluation`` has the arguments of `evaluate_run`.
+    ``as_json`` prints the summary as the last line of standard output, and all else elsewhere.
 
     Returns:
         The exit code.
@@ -68,10 +66,8 @@ def train(
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         code = _run(learner, actor, path, out, stop)
-    if code:
-        return code
-    if not (path / "summary.json").exists():
-        return EXIT_INTERRUPTED
+    if code or not (path / "summary.json").exists():
+        return code or EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
     failure: A2SError | None = None
     if summary["finished"] and not stop.interrupted:
@@ -83,14 +79,14 @@ def train(
             failure = error
     _show(summary, path, out)
     if as_json:
-        sys.stdout.write(json.dumps(summary) + "\n")
+        typer.echo(json.dumps(summary))
     if failure is not None:
         raise A2SError(f"the policy was not evaluated: {failure}")
     return EXIT_INTERRUPTED if stop.interrupted else 0
 
 
 def _run(
-    learner_options: list[str], actor_options: list[str], path: Path, out: IO[str], stop: Stop
+    learner_options: list[str], actor_options: list[str], path: Path, out: TextIO, stop: Stop
 ) -> int:
     """Start both, wait for the learner, end the actors; one that fails ends the other.
 
@@ -100,19 +96,15 @@ def _run(
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
     log, before = path / "actors.log", _starts(path)
-    learner = _start(learner_options, out)
-    try:
-        with log.open("a") as actor_log:
-            actors = _start(actor_options, actor_log)
-        try:
-            _wait(learner, actors, log, stop)
-        finally:
-            _end(actors)
-    finally:
-        _end(learner)
+    with (
+        _started(learner_options, out) as learner,
+        log.open("a") as actor_log,
+        _started(actor_options, actor_log) as actors,
+    ):
+        _wait(learner, actors, log, stop)
     if not (path / run_directory.CONFIG).exists():
         _remove_traces(path, log)
-    # One that is still starting, or whose work is done, ends at once.
+    # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
     if learner.returncode in (0, EXIT_INTERRUPTED) or is_ended_by_us:
         return 0
@@ -148,21 +140,24 @@ def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:
             raise A2SError(f"{words.removeprefix('a2s: ')}; the actors ended, see {log}")
 
 
-def _start(options: list[str], out: IO[str]) -> Process:
-    """Start a command in a process group of its own: Ctrl-C is for us, and we end it cleanly."""
+@contextmanager
+def _started(options: list[str], out: IO[str]) -> Iterator[Process]:
+    """Run a command as long as the block lasts, in a process group of its own.
+
+    Ctrl-C reaches only this process, which ends the command cleanly.
+    """
     libc = ctypes.CDLL(None)
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-P", "-m", "a2s.cli", *options],
         stdout=out,
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
         preexec_fn=lambda: libc.prctl(_DIE_WITH_PARENT, signal.SIGTERM),
     )
-
-
-def _end(process: Process) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGTERM)
+    try:
+        yield process
+    finally:
+        process.terminate()
         try:
             process.wait(timeout=_STOP_S)
         except subprocess.TimeoutExpired:
@@ -171,31 +166,32 @@ def _end(process: Process) -> None:
 
 
 def _evaluate(
-    path: Path, evaluation: dict[str, Any], out: IO[str], stop: Stop
+    path: Path, evaluation: dict[str, Any], out: TextIO, stop: Stop
 ) -> dict[str, Any] | None:
-    out.write(f"evaluating {evaluation['episodes']} episodes, {evaluation['mode']} action ...\n")
-    out.flush()
+    typer.echo(
+        f"evaluating {evaluation['episodes']} episodes, {evaluation['mode']} action ...", out
+    )
     result = evaluate_run(path, {}, **evaluation, proceed=lambda: not stop.is_set())
     shown = ("mode", "weights", "episodes", "mean", "std", "info_metrics")
     return {name: result[name] for name in shown} if result else None
 
 
-def _show(summary: dict[str, Any], path: Path, out: IO[str]) -> None:
-    result = summary.get("evaluation")
-    if result:
-        out.write(
+def _show(summary: dict[str, Any], path: Path, out: TextIO) -> None:
+    lines = []
+    if result := summary.get("evaluation"):
+        lines.append(
             f"evaluation: {written(result['mean'])} +- {written(result['std'])} "
-            f"over {result['episodes']} episodes ({result['mode']}, {result['weights']} weights)\n"
+            f"over {result['episodes']} episodes ({result['mode']}, {result['weights']} weights)"
         )
     if dropped := summary.get("dropped_transitions"):
-        out.write(
+        lines.append(
             f"dropped     {dropped:,} steps whose numbers could not be used; 'trouble' in "
-            f"{path / 'events.jsonl'} says which\n"
+            f"{path / 'events.jsonl'} says which"
         )
     try:
         plot([path], path / "curves.png")
-        out.write(f"curve       {path / 'curves.png'}\n")
+        lines.append(f"curve       {path / 'curves.png'}")
     except UsageError as error:
-        out.write(f"no curve: {error}\n")
-    out.write(f"everything  {path}\nagain       a2s evaluate {path} --episodes 10\n")
-    out.flush()
+        lines.append(f"no curve: {error}")
+    lines += [f"everything  {path}", f"again       a2s evaluate {path} --episodes 10"]
+    typer.echo("\n".join(lines), out)

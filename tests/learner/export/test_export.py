@@ -63,7 +63,7 @@ def make_off(mode: str, **options: Any) -> OffPolicySuggester:
     own |= {"selection": mode} if mode in ("hard", "soft") else {}
     algorithm = OffPolicy(4, 3, off_policy("modern", {**sizes, **options, **own}), 0)
     generator = torch.Generator().manual_seed(3)
-    for ensemble in (algorithm.learned.policy, algorithm.learned.critics):
+    for ensemble in (algorithm.train_state.policy, algorithm.train_state.critics):
         ensemble.value += 0.3 * torch.randn(ensemble.value.shape, generator=generator)
         ensemble.refresh()
     algorithm.observe(2.0 * torch.randn(100, 4, generator=generator) + 1.0)

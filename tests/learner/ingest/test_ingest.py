@@ -1,4 +1,4 @@
-"""Gathering: what is accepted, stale and refused, and when a batch is complete."""
+"""Ingest: what is accepted, stale and refused, and when a batch is complete."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -8,57 +8,67 @@ from typing import Any
 
 import numpy as np
 import pytest
+from segments import segment
 
-from a2s.learner.ingest.admission import Terms
-from a2s.learner.ingest.ingest import Gather
+from a2s.learner.feed import Arrival
+from a2s.learner.ingest.admission import Admission
+from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.store import Quota
+from a2s.learner.run.config import RunConfig
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 
-SPACES = Spaces(
-    obs_size=2,
-    action_low=np.full(1, -1, dtype=np.float32),
-    action_high=np.full(1, 1, dtype=np.float32),
-)
+SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 MakeNotice = Callable[..., Notice]
 NoRoom = Callable[[], AbstractContextManager[None]]
 
 
 class _Run:
-    """A gathering with its files and a record of its events."""
+    """An ingest with its files, a record of its events, and a store in memory."""
 
-    def __init__(self, path: Path, **terms: object) -> None:
-        values: dict[str, object] = {
-            "run": "test", "generation": 2, "env_id": "Test-v0", "spaces": SPACES, "num_envs": 2,
-            "clock": "lockstep", "max_policy_lag": 1, "most_suggested": 1.001,
-            "seed": 0, "num_actors": 1,
-        }  # fmt: skip
+    max_policy_lag: int | None = None
+    max_suggestion = 1.0
+
+    def __init__(self, path: Path, *, max_policy_lag: int | None = 1, **options: Any) -> None:
         self.events: list[tuple[str, dict[str, object]]] = []
         self.metrics = LearnerMetrics()
         self.ledger = Ledger(path / "segments.log")
-        self.gather = Gather(
-            Terms(**{**values, **terms}),  # type: ignore[arg-type]
+        run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
+        self.ingest = Ingest(
+            Admission(run, SPACES, 2, max_policy_lag, 1.001),
             self.ledger,
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
-            self.keep,
-            lambda pending: 1.5 if self.is_far_behind or pending >= 1 else 0.0,
+            self,
         )
         self.kept: list[Segment] = []
+        self.num_closed = 0
         self.disk_is_full = False
         self.is_far_behind = False
 
-    def keep(self, segment: Segment) -> None:
+    def quota(self, num_envs: int) -> Quota:
+        raise NotImplementedError
+
+    def store(self, slot: int, segment: Segment) -> None:
         """Store a segment, unless the disk is full."""
         if self.disk_is_full:
             raise RunDirectoryError("replay: no space left on device")
         self.kept.append(segment)
 
+    def close_batch(self) -> None:
+        """What was stored so far is a batch."""
+        self.num_closed = len(self.kept)
+
+    def hold_s(self, num_batches: float) -> float:
+        """Learning is behind by a batch, or for another reason."""
+        return 1.5 if self.is_far_behind or num_batches >= 1 else 0.0
+
     def join(self, actor: str, num_envs: int = 1, slot: int = -1) -> Welcome:
         hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES, slot=slot)
-        welcome = self.gather.hello(hello)
+        welcome = self.ingest.hello(hello)
         assert isinstance(welcome, Welcome)
         return welcome
 
@@ -66,27 +76,20 @@ class _Run:
         """Whether a batch is there."""
         return bool(self.batch())
 
-    def batch(self) -> list[tuple[int, Segment]]:
-        return self.gather.next_batch(lambda _: False)
+    def batch(self) -> list[Arrival]:
+        return self.ingest.next_batch(lambda _: False)
 
 
 @pytest.fixture
 def run(tmp_path: Path, make_notice: MakeNotice) -> _Run:
     run = _Run(tmp_path)
-    run.gather.publish(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
     return run
 
 
-def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: object) -> Segment:
-    ones = np.ones(steps, dtype=np.float32)
-    values: dict[str, object] = {
-        "actor": actor, "seq": seq, "generation": 2, "epoch": 0, "weights_version": 5, "env": 0,
-        "obs": np.ones((steps, 2), dtype=np.float32),
-        "suggestion": np.ones((steps, 1), dtype=np.float32), "log_prob": ones, "reward": ones,
-        "final_obs": np.ones(2, dtype=np.float32), "terminated": False, "truncated": False,
-        "episode_return": 1.0, "episode_length": steps,
-    }  # fmt: skip
-    return Segment(**{**values, **fields})  # type: ignore[arg-type]
+def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: Any) -> Segment:
+    values = {"actor": actor, "generation": 2, "weights_version": 5, **fields}
+    return segment(seq, steps, **values)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +119,7 @@ def test_every_segment_is_judged_with_a_reason(
     run: _Run, fields: dict[str, Any], verdict: str, reason: str
 ) -> None:
     run.join("a")
-    ack = run.gather.segment(_segment(**fields))
+    ack = run.ingest.segment(_segment(**fields))
     assert (ack.verdict, ack.reason, ack.generation) == (verdict, reason, 2)
     assert run.complete() is (fields == {})
 
@@ -133,92 +136,79 @@ def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_n
 
 def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:
     run.join("a")
-    verdicts = [run.gather.segment(_segment()).verdict for _ in range(3)]
+    verdicts = [run.ingest.segment(_segment()).verdict for _ in range(3)]
     assert verdicts == ["accepted", "duplicate", "duplicate"]
-    assert run.gather.accepted_steps == 4
+    assert run.ledger.accepted_steps == 4
     assert len(run.batch()) == 1
 
 
 def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(run: _Run) -> None:
     """An actor that got no answer keeps its segment."""
     run.join("a")
-    for segment in (_segment(), _segment(), _segment(seq=1, epoch=1)):
-        run.gather.segment(segment)
-    assert [segment.seq for segment in run.kept] == [0]
+    for sent in (_segment(), _segment(), _segment(seq=1, epoch=1)):
+        run.ingest.segment(sent)
+    assert [stored.seq for stored in run.kept] == [0]
     run.disk_is_full = True
     with pytest.raises(RunDirectoryError, match="no space left"):
-        run.gather.segment(_segment(seq=2))
+        run.ingest.segment(_segment(seq=2))
     assert run.ledger.accounts().accepted == 1
     with pytest.raises(RunDirectoryError, match="no space left"):
-        run.gather.next_batch(lambda _: True)
+        run.ingest.next_batch(lambda _: True)
 
 
 def test_what_cannot_be_written_down_is_not_stored_again(run: _Run, no_room: NoRoom) -> None:
     """However often it is sent; and nothing else is, once one has failed."""
     run.join("a")
     for seq in range(6):  # lines of 15 bytes
-        run.gather.segment(_segment(seq=seq))
+        run.ingest.segment(_segment(seq=seq))
     with no_room(), pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
-        run.gather.segment(_segment(seq=6))
+        run.ingest.segment(_segment(seq=6))
     for seq in (6, 7):
         with pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
-            run.gather.segment(_segment(seq=seq))
-    assert [segment.seq for segment in run.kept] == list(range(7))
+            run.ingest.segment(_segment(seq=seq))
+    assert [stored.seq for stored in run.kept] == list(range(7))
     assert run.ledger.accounts().accepted == 6
 
 
-def test_any_age_may_be_allowed(tmp_path: Path, make_notice: MakeNotice) -> None:
-    """Off-policy nothing is too old."""
-    run = _Run(tmp_path, max_policy_lag=None)
-    run.gather.publish(make_notice(generation=2, version=500, quota_steps=4), 8)
-    run.join("a")
-    assert run.gather.segment(_segment(weights_version=1)).verdict == "accepted"
-
-
-def test_actors_are_held_back_while_learning_is_too_far_behind(
+def test_off_policy_no_segment_is_too_old_and_actors_are_held_back_while_learning_is_behind(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     run = _Run(tmp_path, max_policy_lag=None, clock="async")
-    run.gather.publish(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=500, quota_steps=4), 8)
     run.join("a")
-    assert run.gather.segment(_segment(seq=0)).wait_s == 0.0
+    first = run.ingest.segment(_segment(seq=0, weights_version=1))
+    assert (first.verdict, first.wait_s) == ("accepted", 0.0)
     run.is_far_behind = True
-    assert run.gather.segment(_segment(seq=1)).wait_s == 1.5
-    stale = run.gather.segment(_segment(seq=2, generation=1))
+    assert run.ingest.segment(_segment(seq=1)).wait_s == 1.5
+    stale = run.ingest.segment(_segment(seq=2, generation=1))
     assert (stale.verdict, stale.wait_s) == ("stale", 0.0)  # what is left of before goes quickly
 
 
 def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota(
     run: _Run,
 ) -> None:
+    """Its order is not that of arrival."""
     run.join("a", num_envs=2)
     run.join("b")
-    run.gather.segment(_segment("a", 0, env=0))
-    run.gather.segment(_segment("b", 0, steps=3))
-    run.gather.segment(_segment("a", 1, env=1))
+    run.ingest.segment(_segment("b", 0, steps=3))
+    run.ingest.segment(_segment("a", 1, env=1))
+    run.ingest.segment(_segment("a", 0, env=0))
     assert not run.complete()
-    run.gather.segment(_segment("b", 1, steps=1))
-    assert [(slot, s.env, s.seq) for slot, s in run.batch()] == [
+    run.ingest.segment(_segment("b", 1, steps=1))
+    assert [arrival[:3] for arrival in run.batch()] == [
         (0, 0, 0), (0, 1, 1), (1, 0, 0), (1, 0, 1),
     ]  # fmt: skip
-
-
-def test_the_order_of_a_batch_does_not_depend_on_the_order_of_arrival(run: _Run) -> None:
-    run.join("a", num_envs=2)
-    for seq, env in ((1, 1), (0, 0)):
-        run.gather.segment(_segment("a", seq, env=env))
-    assert [s.seq for _, s in run.batch()] == [0, 1]
 
 
 def test_whole_episodes_are_waited_for(tmp_path: Path, make_notice: MakeNotice) -> None:
     run = _Run(tmp_path)
     notice = make_notice(generation=2, version=5, quota_steps=4, quota_episodes=2)
-    run.gather.publish(notice, 8)
+    run.ingest.begin(notice, 8)
     run.join("a")
-    run.gather.segment(_segment(seq=0, terminated=True))
-    run.gather.segment(_segment(seq=1))
+    run.ingest.segment(_segment(seq=0, terminated=True))
+    run.ingest.segment(_segment(seq=1))
     assert not run.complete()
-    run.gather.segment(_segment(seq=2, truncated=True))
+    run.ingest.segment(_segment(seq=2, truncated=True))
     assert len(run.batch()) == 3
 
 
@@ -227,9 +217,9 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
 ) -> None:
     """Five episodes of 8 where a batch has 8 steps: an async learner would take four."""
     run = _Run(tmp_path)
-    run.gather.publish(make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), 8)
     run.join("a")
-    acks = [run.gather.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
+    acks = [run.ingest.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
     assert [ack.verdict for ack in acks] == ["accepted"] * 5
     assert len(run.batch()) == 5
 
@@ -237,16 +227,16 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
 def test_an_actor_that_leaves_is_no_longer_waited_for(run: _Run) -> None:
     run.join("a")
     run.join("b")
-    run.gather.segment(_segment("a"))
+    run.ingest.segment(_segment("a"))
     assert not run.complete()
-    run.gather.gone("b")
+    run.ingest.gone("b")
     assert run.complete()
     assert ("leave", {"actor": "b", "slot": 1, "reason": "lost"}) in run.events
 
 
 def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None:
     first, other = run.join("a"), run.join("b")
-    run.gather.gone("a")
+    run.ingest.gone("a")
     second = run.join("c")
     assert (first.slot, other.slot, second.slot) == (0, 1, 0)
     assert first.seed != second.seed
@@ -255,21 +245,21 @@ def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None
 def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
     """Its segment is not answered while it is away, so it is sent again and not lost."""
     run.join("a", num_envs=2)
-    run.gather.segment(_segment("a", 0, env=0))
-    run.gather.gone("a")
+    run.ingest.segment(_segment("a", 0, env=0))
+    run.ingest.gone("a")
     late = _segment("a", 1, env=1)
-    assert run.gather.segment(late).verdict == "unknown"
+    assert run.ingest.segment(late).verdict == "unknown"
     run.join("a", num_envs=2)
-    assert run.gather.segment(late).verdict == "accepted"
+    assert run.ingest.segment(late).verdict == "accepted"
     assert len(run.batch()) == 2
 
 
 def test_a_number_out_of_all_order_is_refused_at_once(run: _Run) -> None:
     run.join("a")
-    run.gather.segment(_segment(seq=0))
-    ack = run.gather.segment(_segment(seq=2**62))
+    run.ingest.segment(_segment(seq=0))
+    ack = run.ingest.segment(_segment(seq=2**62))
     assert (ack.verdict, ack.reason) == ("refused", f"seq {2**62} is far from the others")
-    assert run.gather.accounts().sent == 1
+    assert run.ledger.accounts().sent == 1
 
 
 def test_joining_twice_keeps_the_place_and_the_seed(run: _Run) -> None:
@@ -279,15 +269,15 @@ def test_joining_twice_keeps_the_place_and_the_seed(run: _Run) -> None:
 
 
 def test_asking_is_not_joining(run: _Run) -> None:
-    welcome = run.gather.hello(Hello(actor="a", num_envs=0, env_id="", spaces=None))
+    welcome = run.ingest.hello(Hello(actor="a", num_envs=0, env_id="", spaces=None))
     assert isinstance(welcome, Welcome)
     assert (welcome.slot, welcome.env_id, welcome.num_envs) == (-1, "Test-v0", 2)
-    assert run.gather.members() == []
+    assert run.ingest.attendance().members == ()
 
 
 def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
     wide = replace(SPACES, obs_size=3)
-    refusal = run.gather.hello(Hello(actor="a", num_envs=1, env_id="Test-v0", spaces=wide))
+    refusal = run.ingest.hello(Hello(actor="a", num_envs=1, env_id="Test-v0", spaces=wide))
     assert isinstance(refusal, Refusal)
     assert refusal.reason == "environment Test-v0: found obs_size 3, expected 2"
     counted = run.metrics.refused.labels(message="hello", reason="environment")
@@ -296,10 +286,10 @@ def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
 
 def test_a_recovery_forgets_what_waits(run: _Run, make_notice: MakeNotice) -> None:
     run.join("a")
-    run.gather.segment(_segment(seq=0))
-    run.gather.publish(make_notice(generation=2, version=6, epoch=1, quota_steps=4), 8)
-    run.gather.segment(_segment(seq=1, weights_version=6, epoch=1))
-    assert [s.seq for _, s in run.batch()] == [1]
+    run.ingest.segment(_segment(seq=0))
+    run.ingest.begin(make_notice(generation=2, version=6, epoch=1, quota_steps=4), 8)
+    run.ingest.segment(_segment(seq=1, weights_version=6, epoch=1))
+    assert [arrival.seq for arrival in run.batch()] == [1]
 
 
 def test_async_batches_are_counted_in_steps_and_hold_actors_back(
@@ -307,9 +297,9 @@ def test_async_batches_are_counted_in_steps_and_hold_actors_back(
 ) -> None:
     """Batches of 8: held back when one waits, taken no more when four do."""
     run = _Run(tmp_path, clock="async")
-    run.gather.publish(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
     run.join("a")
-    acks = [run.gather.segment(_segment(seq=seq)) for seq in range(10)]
+    acks = [run.ingest.segment(_segment(seq=seq)) for seq in range(10)]
     assert [ack.wait_s > 0 for ack in acks] == [False] + [True] * 9
     assert [ack.verdict for ack in acks] == ["accepted"] * 8 + ["stale"] * 2
     assert len(run.batch()) == 8
@@ -321,8 +311,8 @@ def test_a_clean_goodbye_is_told_from_a_lost_actor(run: _Run) -> None:
         actor="a", slot=0, weights_version=5, epoch=0, env_steps=1, episodes=0, segments_sent=1,
         segments_answered=1, spooled_steps=0, leaving=True,
     )  # fmt: skip
-    run.gather.status(status)
-    run.gather.gone("a")
+    run.ingest.status(status)
+    run.ingest.gone("a")
     assert [d["reason"] for kind, d in run.events if kind == "leave"] == ["clean"]
 
 
@@ -333,11 +323,11 @@ def test_waiting_says_what_for(run: _Run) -> None:
         heard.append(missing)
         return False
 
-    run.gather.next_batch(once)
+    run.ingest.next_batch(once)
     run.join("a")
-    run.gather.next_batch(once)
-    run.gather.gone("a")
-    run.gather.next_batch(once)
+    run.ingest.next_batch(once)
+    run.ingest.gone("a")
+    run.ingest.next_batch(once)
     assert heard == [
         "1 more of 1 actors: start `a2s actor`",
         "segments of version 5 from actors [0]",
@@ -349,14 +339,14 @@ def test_the_first_batch_waits_for_all_actors_that_are_expected(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     """Later ones do not: two actors with two environments each are expected, one plays on."""
-    run = _Run(tmp_path, num_actors=2)
-    run.gather.publish(make_notice(generation=2, version=5, quota_steps=4), 8)
-    assert run.gather.num_envs == 4
+    run = _Run(tmp_path, n=2)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
+    assert run.ingest.num_envs == 4
     run.join("a")
-    run.gather.segment(_segment("a"))
+    run.ingest.segment(_segment("a"))
     assert not run.complete()
     run.join("b")
-    run.gather.segment(_segment("b"))
+    run.ingest.segment(_segment("b"))
     assert run.complete()
-    run.gather.gone("b")
-    assert run.gather.num_envs == 1
+    run.ingest.gone("b")
+    assert run.ingest.num_envs == 1

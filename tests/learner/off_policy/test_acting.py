@@ -18,7 +18,7 @@ def make(*, warms_up: bool = False, **options: Any) -> OffPolicySuggester:
     small = {"critic_sizes": "16,8", "policy_sizes": "8,8", "act_suggestions": 6}
     hyper = off_policy("modern", {**small, "precision": "f32", **options})
     algorithm = OffPolicy(3, 2, hyper, 0)
-    algorithm.learned.critics.value.mul_(3.0)
+    algorithm.train_state.critics.value.mul_(3.0)
     algorithm.observe(2.0 * torch.randn(50, 3, generator=torch.Generator().manual_seed(1)))
     return algorithm.suggester(LOW, HIGH, warms_up=warms_up)
 

@@ -10,14 +10,16 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from a2s.learner.off_policy.noise import Noise
 from a2s.learner.off_policy.recorded_update import RecordedUpdate
-from a2s.learner.off_policy.state import OffPolicyLearned
+from a2s.learner.off_policy.state import TrainState
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
 from a2s.learner.run.config import off_policy
 
+pytestmark = pytest.mark.slow
+
 OPTIONS: list[dict[str, object]] = [
     {},
-    {"target_groups": 2, "selector": "mean"},
+    {"target_groups": 2},
     {"num_quantiles": 5, "quantiles_to_drop": 1},
     {"policy_loss": "score", "network": "residual"},
     {"network": "trunk", "norm_obs": False},
@@ -91,7 +93,7 @@ def test_an_update_stays_on_the_device_and_never_waits_for_it(options: dict[str,
     noise = algorithm.draw_noise(ROWS)
     algorithm.device = torch.device("cuda")
     with FakeTensorMode(allow_non_fake_inputs=True) as fake:
-        algorithm.learned = OffPolicyLearned(
+        algorithm.train_state = TrainState(
             OBS, ACTION, algorithm.hyper, torch.Generator(), algorithm.device
         )
         there = Transitions(*(fake.from_tensor(each).cuda() for each in batch(0)))

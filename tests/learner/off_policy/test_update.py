@@ -83,7 +83,7 @@ def compare_to_plain_sac(algorithm: OffPolicy, updates: int, near: float) -> Non
         theirs = plain.update(batch(number), noise.suggestion, noise.target[0, :, 0])
         found = [float(each) for each in (ours.q_loss, ours.policy_loss, ours.temperature)]
         assert found == pytest.approx(list(theirs), rel=near, abs=near)
-    learned = algorithm.learned
+    learned = algorithm.train_state
     pairs = [(learned.policy, [plain.policy]), (learned.critics, plain.critics)]
     for ensemble, nets in [*pairs, (learned.targets, plain.targets)]:
         for mine, yours in zip(modules(ensemble), nets, strict=True):
@@ -103,7 +103,9 @@ def test_the_unit_of_rewards_does_not_matter(quantiles: int) -> None:
         small = one.update(rows)
         large = other.update(rows._replace(reward=8.0 * rows.reward))
     for name in ("policy", "critics", "targets"):
-        assert torch.equal(getattr(one.learned, name).value, getattr(other.learned, name).value)
+        assert torch.equal(
+            getattr(one.train_state, name).value, getattr(other.train_state, name).value
+        )
     for name in ("q_mean", "target_mean", "temperature", "error"):
         assert torch.equal(8.0 * getattr(small, name), getattr(large, name))
     assert (small.q_loss, small.policy_loss) == (large.q_loss, large.policy_loss)
@@ -121,7 +123,9 @@ def test_the_unit_of_observations_does_not_matter() -> None:
                 rows._replace(obs=size * rows.obs, next_obs=size * rows.next_obs),
             )
     for name in ("policy", "critics", "targets"):
-        assert torch.equal(getattr(one.learned, name).value, getattr(other.learned, name).value)
+        assert torch.equal(
+            getattr(one.train_state, name).value, getattr(other.train_state, name).value
+        )
 
 
 def test_returns_are_learned_in_units_of_their_size() -> None:
@@ -133,7 +137,7 @@ def test_returns_are_learned_in_units_of_their_size() -> None:
         rows = batch(number)
         plain.update(rows._replace(reward=rows.reward / 5.0))
         ours.update(rows)
-    assert torch.equal(plain.learned.critics.value, ours.learned.critics.value)
+    assert torch.equal(plain.train_state.critics.value, ours.train_state.critics.value)
 
 
 @pytest.mark.parametrize("name", ["act_suggestions", "send_every_steps"])
@@ -143,14 +147,14 @@ def test_acting_has_no_part_in_the_update(name: str) -> None:
     for number in range(3):
         one.update(batch(number))
         other.update(batch(number))
-    assert torch.equal(one.learned.policy.value, other.learned.policy.value)
+    assert torch.equal(one.train_state.policy.value, other.train_state.policy.value)
 
 
 @pytest.mark.parametrize(
     "options",
     [
         {},
-        {"selector": "mean", "target_groups": 3},
+        {"target_groups": 3},
         {"num_quantiles": 5, "quantiles_to_drop": 1},
         {"precision": "bf16"},
     ],
@@ -216,7 +220,7 @@ def test_next_observation_counts_where_the_discount_is_not_zero() -> None:
 def test_targets_by_hand() -> None:
     """Constant critics: y = r + gamma^n (Q - temperature (log pi + c_K)), to the number."""
     algorithm = make(target_suggestions=4, target_groups=2, norm_obs=False)
-    learned = algorithm.learned
+    learned = algorithm.train_state
     learned.targets.value.zero_()
     learned.critics.value.zero_()
     for member, constant in enumerate((7.0, 5.0)):
@@ -244,7 +248,7 @@ def test_importance_weights_scale_a_row() -> None:
     first = one.update(rows._replace(weight=weights[0]), same)
     second = other.update(alone._replace(weight=weights[1]), same)
     torch.testing.assert_close(first.q_loss, second.q_loss)
-    torch.testing.assert_close(one.learned.critics.value, other.learned.critics.value)
+    torch.testing.assert_close(one.train_state.critics.value, other.train_state.critics.value)
 
 
 def test_bf16_products_stay_near_f32() -> None:
@@ -261,22 +265,19 @@ def test_temperature_rises_while_the_entropy_is_too_low() -> None:
     """And falls above; a rate of 0 leaves it alone."""
     for wanted, sign in ((5.0, 1), (-50.0, -1)):
         algorithm = make(entropy_per_action=wanted)
-        before = float(algorithm.learned.log_temperature)
+        before = float(algorithm.train_state.log_temperature)
         algorithm.update(batch(0))
-        assert (float(algorithm.learned.log_temperature) - before) * sign > 0
+        assert (float(algorithm.train_state.log_temperature) - before) * sign > 0
     fixed = make(temperature_learning_rate=0.0, initial_temperature=0.2)
     assert float(fixed.update(batch(0)).temperature) == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("selector", ["one", "mean"])
-def test_target_is_that_of_a_loop_over_groups_and_suggestions(selector: str) -> None:
+def test_target_is_that_of_a_loop_over_groups_and_suggestions() -> None:
     """Equations 7 and 8, one suggestion at a time."""
-    algorithm = make(
-        selector=selector, target_suggestions=4, target_groups=3, num_critics=2, tau=0.5
-    )
+    algorithm = make(target_suggestions=4, target_groups=3, num_critics=2, tau=0.5)
     for number in range(3):  # until critics and targets differ
         algorithm.update(batch(number))
-    learned, rows, noise = algorithm.learned, batch(7), noise_of(algorithm, 7)
+    learned, rows, noise = algorithm.train_state, batch(7), noise_of(algorithm, 7)
     policy, critics = modules(learned.policy)[0], modules(learned.critics)
     targets = modules(learned.targets)
     temperature = float(learned.log_temperature.exp())
@@ -290,7 +291,7 @@ def test_target_is_that_of_a_loop_over_groups_and_suggestions(selector: str) -> 
                 u = mean + log_std.exp() * normal
                 joined = torch.cat([next_seen[row], u.tanh()])
                 scores = [float(critic(joined)) for critic in critics]
-                chosen = scores[int(noise.critic[group])] if selector == "one" else sum(scores)
+                chosen = scores[int(noise.critic[group])]
                 if chosen > best:
                     density = -0.5 * normal.square() - log_std - 0.9189385
                     log_prob = float((density - (1.0 - u.double().tanh().square()).log()).sum())
@@ -313,16 +314,16 @@ def parameters(ensemble: Ensemble) -> list[torch.Tensor]:
 def test_numbering_of_the_critics_does_not_matter() -> None:
     """Two that change places, and their numbers in the noise with them."""
     one, other = make("modern", target_groups=2), make("modern", target_groups=2)
-    for ensemble in (other.learned.critics, other.learned.targets):
+    for ensemble in (other.train_state.critics, other.train_state.targets):
         for view in parameters(ensemble):
             view.copy_(view.flip(0))
     for number in range(3):
         noise = noise_of(one, number)
         one.update(batch(number), noise)
         other.update(batch(number), noise._replace(critic=1 - noise.critic))
-    torch.testing.assert_close(one.learned.policy.value, other.learned.policy.value)
+    torch.testing.assert_close(one.train_state.policy.value, other.train_state.policy.value)
     for mine, yours in zip(
-        parameters(one.learned.targets), parameters(other.learned.targets), strict=True
+        parameters(one.train_state.targets), parameters(other.train_state.targets), strict=True
     ):
         torch.testing.assert_close(mine, yours.flip(0))
 
@@ -331,21 +332,23 @@ def test_numbering_of_the_critics_does_not_matter() -> None:
 def test_what_is_kept_is_the_policy_averaged_over_a_tenth_of_all_updates(longest: int) -> None:
     """Or over fewer; actors get the latest one."""
     algorithm = make("modern", average_updates=longest)
-    average = algorithm.learned.policy.value.double()
+    average = algorithm.train_state.policy.value.double()
     bounds = -torch.ones(ACTION), torch.ones(ACTION)
     for number in range(1, 41):
         algorithm.update(batch(number))
         share = 1.0 / min(max(number / 10, 1.0), longest)
-        average += share * (algorithm.learned.policy.value - average)
+        average += share * (algorithm.train_state.policy.value - average)
         kept = algorithm.suggester(*bounds, averaged=True).policy.value
         assert torch.allclose(kept.double(), average, atol=1e-6)
-    assert torch.equal(algorithm.suggester(*bounds).policy.value, algorithm.learned.policy.value)
-    assert torch.equal(kept, algorithm.learned.policy.value) is (longest == 1)
+    assert torch.equal(
+        algorithm.suggester(*bounds).policy.value, algorithm.train_state.policy.value
+    )
+    assert torch.equal(kept, algorithm.train_state.policy.value) is (longest == 1)
 
 
 def test_nothing_is_averaged_unless_wanted() -> None:
     algorithm = make("sac")
     algorithm.update(batch(0))
     kept = algorithm.suggester(-torch.ones(ACTION), torch.ones(ACTION), averaged=True).policy
-    assert kept is algorithm.learned.policy
+    assert kept is algorithm.train_state.policy
     assert "average" not in algorithm.state()

@@ -7,22 +7,23 @@ import numpy as np
 import pytest
 
 from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.off_policy_trainer import OffPolicyLearning
-from a2s.learner.on_policy_trainer import OnPolicyLearning
-from a2s.learner.run.config import off_policy, on_policy
+from a2s.learner.ingest.store import Store
+from a2s.learner.make import make_off_policy
+from a2s.learner.on_policy_trainer import OnPolicyTrainer
+from a2s.learner.run.config import RunConfig, off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.trainer import Learning
+from a2s.learner.trainer import Trainer
 from a2s.protocol.fields import Array, Spaces
-from a2s.protocol.messages import MOST_PLAYED, MOST_SUGGESTED, Segment
+from a2s.protocol.messages import MAX_PLAYED, MAX_SUGGESTED, Segment
 
 SPACES = Spaces(obs_size=3, action_low=-np.ones(2, np.float32), action_high=np.ones(2, np.float32))
 STEPS = 16
 LARGEST = {
-    "obs": MOST_PLAYED,
-    "final_obs": MOST_PLAYED,
-    "reward": MOST_PLAYED,
-    "suggestion": MOST_SUGGESTED,
-    "log_prob": MOST_SUGGESTED,
+    "obs": MAX_PLAYED,
+    "final_obs": MAX_PLAYED,
+    "reward": MAX_PLAYED,
+    "suggestion": MAX_SUGGESTED,
+    "log_prob": MAX_SUGGESTED,
 }
 
 
@@ -43,14 +44,15 @@ def segment(seq: int, size: dict[str, float]) -> Segment:
     )  # fmt: skip
 
 
-def play(learning: Learning, size: dict[str, float]) -> None:
+def play(trainer: Trainer, store: Store, size: dict[str, float]) -> None:
     """Learn from ordinary segments, from one of a size among them, from such alone, and go on."""
     rounds: list[list[dict[str, float]]] = [[{}, {}], [{}, size], [size, size], [{}, {}]]
     for number, sizes in enumerate(rounds):
         segments = [segment(2 * number + i, each) for i, each in enumerate(sizes)]
         for each in segments:
-            learning.keep(each)
-        learning.learn(segments, 0.0, is_behind=False)
+            store.store(0, each)
+        store.close_batch()
+        trainer.learn(0.0)
 
 
 @pytest.mark.parametrize("names", [("suggestion",), ("log_prob",), tuple(LARGEST)], ids=",".join)
@@ -64,8 +66,8 @@ def play(learning: Learning, size: dict[str, float]) -> None:
 )
 def test_on_policy(preset: str, options: dict[str, Any], names: tuple[str, ...]) -> None:
     hyper = on_policy(preset, "a2s", options)
-    learning = OnPolicyLearning(SPACES, hyper, 0, LearnerMetrics(), None)
-    play(learning, {name: LARGEST[name] for name in names})
+    trainer = OnPolicyTrainer(SPACES, hyper, 0, {}, LearnerMetrics())
+    play(trainer, trainer, {name: LARGEST[name] for name in names})
 
 
 @pytest.mark.parametrize(
@@ -85,8 +87,9 @@ def test_off_policy(preset: str, options: dict[str, Any], tmp_path: Path) -> Non
     }  # fmt: skip
     hyper = off_policy(preset, {**small, **options})
     ledger = Ledger(tmp_path / "segments.log")
-    learning = OffPolicyLearning(
-        "Test-v0", SPACES, hyper, 7, tmp_path, ledger, LearnerMetrics(), "cpu", None
+    run = RunConfig(env="Test-v0", variant="off-policy", seed=7)
+    trainer, replay = make_off_policy(
+        run, SPACES, hyper, tmp_path, ledger, {}, LearnerMetrics(), None
     )
-    play(learning, LARGEST | {"suggestion": learning.most_suggested})
-    assert learning.updates > 20
+    play(trainer, replay, LARGEST | {"suggestion": replay.max_suggestion})
+    assert trainer.updates > 20

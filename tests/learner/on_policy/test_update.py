@@ -253,6 +253,7 @@ def test_suggester_has_q_only_when_q_may_choose() -> None:
     ],
     ids=str,
 )
+@pytest.mark.slow
 def test_the_mean_action_moves_to_where_the_reward_is(options: dict[str, Any]) -> None:
     """A one-step task: reward is highest at .5 in both dimensions."""
     algorithm = make(

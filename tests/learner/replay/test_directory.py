@@ -1,8 +1,7 @@
 """What a replay directory survives, and what it refuses without destroying anything."""
 
-import errno
+import dataclasses
 import json
-import os
 import resource
 import shutil
 import subprocess
@@ -18,10 +17,9 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
-from a2s.learner.replay.record import RECORD_BYTES
+from a2s.learner.replay.index import RECORD_BYTES
 from a2s.learner.replay.replay import Replay
 from a2s.protocol.errors import A2SError, RunDirectoryError, UsageError
-from a2s.protocol.fields import Spaces
 
 FOREVER = 1_000_000
 
@@ -62,6 +60,7 @@ def opened(path: Path, **how: object) -> Iterator[Replay]:
 
 
 @pytest.mark.parametrize("capacity", [50, FOREVER])
+@pytest.mark.slow
 def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
     tmp_path: Path, capacity: int
 ) -> None:
@@ -81,10 +80,10 @@ def test_every_acknowledged_transition_survives_kill_9_and_none_comes_twice(
         last = acknowledged[-1]
         with opened(tmp_path, is_known=lambda _, seq, last=last: seq <= last) as replay:
             assert replay.live.stop == sum(
-                1 + seq % replay_writer.MOST_STEPS for seq in range(last + 1)
+                1 + seq % replay_writer.MAX_STEPS for seq in range(last + 1)
             )
             assert len(replay) == min(capacity, replay.live.stop)
-            assert replay.taken_back <= replay_writer.MOST_STEPS
+            assert replay.taken_back <= replay_writer.MAX_STEPS
             batch = replay.sample(2 * len(replay), rng, n_step=2, gamma=0.5)
             assert np.array_equal(batch.obs[:, 0], batch.row)
             assert np.array_equal(batch.reward == 1.0, batch.row == replay.live.stop - 1)
@@ -171,24 +170,9 @@ def test_segments_that_the_ledger_does_not_know_are_taken_back(tmp_path: Path) -
         assert replay.live.stop == 116
 
 
-def test_a_segment_of_many_pieces_is_taken_back(tmp_path: Path) -> None:
-    """It had been written over rows that would be there again: those stay evicted."""
-    replay = directory.create(tmp_path, ENV_ID, SPACES, 100)
-    for seq in range(25):
-        insert(replay, seq)
-    obs = [100.0 + i for i in range(351)]
-    replay.insert(make_segment(obs, [1.0] * 350, seq=25, before=100))
-    replay.close()
-    with opened(tmp_path, is_known=lambda _, seq: seq < 25) as replay:
-        assert (replay.taken_back, replay.torn_records) == (350, 0)
-        assert (len(replay), replay.live.stop) == (0, 100)
-        insert(replay, 25)
-        assert observations(replay) == [100.0, 101.0, 102.0, 103.0]
-
-
-@pytest.mark.parametrize("steps", [150, 252])
-def test_rows_that_a_long_segment_was_not_written_over_are_there_again(
-    tmp_path: Path, steps: int
+@pytest.mark.parametrize(("steps", "first"), [(150, 100), (252, 152), (350, 200)])
+def test_a_long_segment_is_taken_back_and_rows_that_it_was_not_written_over_are_there_again(
+    tmp_path: Path, steps: int, first: int
 ) -> None:
     """Of 400 slots, those of the newest 300 rows and of a piece that may have come next."""
     replay = directory.create(tmp_path, ENV_ID, SPACES, 100)
@@ -198,9 +182,11 @@ def test_rows_that_a_long_segment_was_not_written_over_are_there_again(
     replay.insert(make_segment(obs, [1.0] * steps, seq=50, before=200))
     replay.close()
     with opened(tmp_path, is_known=lambda _, seq: seq < 50) as replay:
-        first = max(100, 200 + steps - 300)
-        assert (replay.taken_back, replay.live) == (steps, range(first, 200))
-        assert observations(replay) == [float(i) for i in range(first, 200)]
+        assert (replay.taken_back, replay.torn_records) == (steps, 0)
+        assert replay.live == range(first, 200)
+        insert(replay, 50)
+        first = max(first, 104)
+        assert observations(replay) == [float(i) for i in range(first, 204)]
 
 
 def test_the_index_does_not_grow_without_bound(tmp_path: Path) -> None:
@@ -212,84 +198,86 @@ def test_the_index_does_not_grow_without_bound(tmp_path: Path) -> None:
         assert observations(replay) == [float(i) for i in range(16_300, 16_400)]
 
 
-def describe(path: Path, **changes: object) -> None:
+def describe(**changes: object) -> Callable[[bytes], bytes]:
     """Change ``replay.json``."""
-    file = path / "replay.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+    return lambda data: json.dumps(json.loads(data) | changes).encode()
 
 
-def truncate(name: str) -> Callable[[Path], None]:
-    """Cut off the second half of a file."""
-
-    def cut(path: Path) -> None:
-        with (path / name).open("r+b") as file:
-            file.truncate((path / name).stat().st_size // 2)
-
-    return cut
+def halve(data: bytes) -> bytes:
+    """Cut off the second half."""
+    return data[: len(data) // 2]
 
 
-def flip(path: Path) -> None:
+def flip(data: bytes) -> bytes:
     """Damage a record that is not the last."""
-    data = bytearray((path / "index-1.log").read_bytes())
-    data[RECORD_BYTES + 3] ^= 1
-    (path / "index-1.log").write_bytes(data)
+    at = RECORD_BYTES + 3
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
 
 
-def swap(path: Path) -> None:
+def swap(data: bytes) -> bytes:
     """Exchange two records, each of which is whole."""
-    data = (path / "index-1.log").read_bytes()
     first, second = data[:RECORD_BYTES], data[RECORD_BYTES : 2 * RECORD_BYTES]
-    (path / "index-1.log").write_bytes(second + first + data[2 * RECORD_BYTES :])
-
-
-OTHER = Spaces(
-    obs_size=2,
-    action_low=np.array([-1.0, 0.5], np.float32),
-    action_high=np.array([3.0, 0.8], np.float32),
-)
+    return second + first + data[2 * RECORD_BYTES :]
 
 
 @pytest.mark.parametrize(
-    ("harm", "how", "kind", "reason"),
+    ("name", "harm", "reason"),
     [
-        (None, {"env_id": "Hopper-v5", "spaces": SPACES}, RunDirectoryError, "found environment"),
-        (None, {"env_id": ENV_ID, "spaces": OTHER}, RunDirectoryError, "found action_high"),
-        (None, {"capacity": 255, "batch_size": 256}, UsageError, "at least one batch of 256"),
-        (None, {"batch_size": 256}, UsageError, "found 100, expected at least one batch"),
-        (truncate("next_obs-1.f32"), {}, RunDirectoryError, "found 1600 bytes, expected 3200"),
-        (truncate("priority-1.f32"), {}, RunDirectoryError, "found 800 bytes, expected 1600"),
-        (truncate("replay.json"), {}, RunDirectoryError, "replay.json is damaged"),
-        (lambda p: (p / "action-1.f32").unlink(), {}, RunDirectoryError, "No such file"),
-        (lambda p: (p / "index-1.log").unlink(), {}, RunDirectoryError, "No such file"),
-        (lambda p: (p / "replay.json").unlink(), {}, RunDirectoryError, "holds no replay"),
-        (lambda p: describe(p, format=3), {}, RunDirectoryError, "found format 3, expected 2"),
-        (lambda p: describe(p, obs_size="x"), {}, RunDirectoryError, "replay.json is damaged"),
-        (lambda p: describe(p, obs_size=3), {}, RunDirectoryError, "found 3200 bytes, expected"),
-        (flip, {}, RunDirectoryError, "the checksum of record 1 does not match"),
-        (swap, {}, RunDirectoryError, "record 1 does not follow the one before"),
+        ("next_obs-1.f32", halve, "found 1600 bytes, expected 3200"),
+        ("priority-1.f32", halve, "found 800 bytes, expected 1600"),
+        ("replay.json", halve, "replay.json is damaged"),
+        ("action-1.f32", None, "No such file"),
+        ("index-1.log", None, "No such file"),
+        ("replay.json", None, "holds no replay"),
+        ("replay.json", describe(format=3), "found format 3, expected 2"),
+        ("replay.json", describe(obs_size="x"), "replay.json is damaged"),
+        ("replay.json", describe(obs_size=3), "found 3200 bytes, expected"),
+        ("index-1.log", flip, "the checksum of record 1 does not match"),
+        ("index-1.log", swap, "record 1 does not follow the one before"),
     ],
 )
-def test_what_cannot_be_used_is_refused_by_one_line_and_left_alone(
-    tmp_path: Path,
-    harm: Callable[[Path], None] | None,
-    how: dict[str, object],
-    kind: type[A2SError],
-    reason: str,
+def test_what_is_damaged_is_refused_by_one_line_and_left_alone(
+    tmp_path: Path, name: str, harm: Callable[[bytes], bytes] | None, reason: str
 ) -> None:
     """It may be all that is left of a long run."""
-    path = fill(tmp_path / "replay")
-    if harm is not None:
-        harm(path)
-    before = snapshot(path)
-    with pytest.raises(kind, match=reason) as caught:
-        directory.open_existing(path, **how)  # type: ignore[arg-type]
+    file = fill(tmp_path) / name
+    if harm is None:
+        file.unlink()
+    else:
+        file.write_bytes(harm(file.read_bytes()))
+    before = snapshot(tmp_path)
+    with pytest.raises(RunDirectoryError, match=reason) as caught:
+        directory.open_existing(tmp_path)
     assert "\n" not in str(caught.value)
-    assert snapshot(path) == before
+    assert snapshot(tmp_path) == before
 
 
-def test_a_replay_that_lost_its_description_is_not_made_anew(tmp_path: Path) -> None:
-    """Its transitions are there; they are only left aside when they are moved away."""
+OTHER = dataclasses.replace(SPACES, action_high=np.array([3.0, 0.8], np.float32))
+
+
+@pytest.mark.parametrize(
+    ("how", "kind", "reason"),
+    [
+        ({"env_id": "Hopper-v5", "spaces": SPACES}, RunDirectoryError, "found environment"),
+        ({"env_id": ENV_ID, "spaces": OTHER}, RunDirectoryError, "found action_high"),
+        ({"capacity": 255, "batch_size": 256}, UsageError, "at least one batch of 256"),
+        ({"batch_size": 256}, UsageError, "found 100, expected at least one batch"),
+    ],
+)
+def test_another_environment_or_a_capacity_below_one_batch_is_refused(
+    tmp_path: Path, how: dict[str, object], kind: type[A2SError], reason: str
+) -> None:
+    before = snapshot(fill(tmp_path))
+    with pytest.raises(kind, match=reason):
+        directory.open_existing(tmp_path, **how)  # type: ignore[arg-type]
+    assert snapshot(tmp_path) == before
+
+
+def test_a_replay_is_made_only_where_there_is_none(tmp_path: Path) -> None:
+    """One that lost its description has transitions; what a kill left of making one has not."""
     path = fill(tmp_path / "replay")
+    with pytest.raises(RunDirectoryError, match="is there already"):
+        directory.create(path, ENV_ID, SPACES, 100)
     (path / "replay.json").unlink()
     before = snapshot(path)
     with pytest.raises(RunDirectoryError) as caught:
@@ -299,48 +287,33 @@ def test_a_replay_that_lost_its_description_is_not_made_anew(tmp_path: Path) -> 
         "move the directory away to begin another"
     )
     assert snapshot(path) == before
+    (path / "index-1.log").write_bytes(b"")
+    fill(path, capacity=50)
 
 
-def test_what_a_kill_left_while_a_replay_was_made_is_no_replay(tmp_path: Path) -> None:
-    """There is nothing in it: another is made in its place."""
-    directory.create(tmp_path, ENV_ID, SPACES, 100).close()
-    (tmp_path / "replay.json").unlink()
-    fill(tmp_path, capacity=50)
-
-
-def test_two_learners_cannot_write_to_one_replay(tmp_path: Path) -> None:
-    """Anybody may look, though."""
+def test_one_learner_writes_or_readers_keep_learners_out(tmp_path: Path) -> None:
+    """Anybody may look at any time; to be alone is to see no row written over."""
     path = fill(tmp_path)
     with opened(path) as replay:
         with pytest.raises(RunDirectoryError, match="another learner writes to it"):
             directory.open_existing(path)
+        said = "a learner writes to it; name its run, with --connect, instead"
+        with pytest.raises(RunDirectoryError, match=said):
+            directory.look_at(path, alone=True)
         looking = directory.look_at(path)
         insert(replay, 10)
         assert (looking.live.stop, replay.live.stop) == (40, 44)
         with pytest.raises(UsageError, match="read only"):
             insert(looking, 10)
-    with pytest.raises(RunDirectoryError, match="is there already"):
-        directory.create(path, ENV_ID, SPACES, 100)
-    with opened(path) as replay:
-        assert replay.live.stop == 44
-
-
-def test_who_looks_alone_keeps_learners_out(tmp_path: Path) -> None:
-    """Or rows would be written over under its eyes; others may look, alone as well."""
-    path = fill(tmp_path)
-    said = "a learner writes to it; name its run, with --connect, instead"
-    with opened(path), pytest.raises(RunDirectoryError, match=said):
-        directory.look_at(path, alone=True)
     before = snapshot(path)
-    looking = [directory.look_at(path, alone=True) for _ in range(2)]
-    for replay in looking:
+    for alone in [directory.look_at(path, alone=True) for _ in range(2)]:
         with pytest.raises(RunDirectoryError, match="or learns from it; stop that first"):
             directory.open_existing(path)
         directory.look_at(path)
-        replay.close()
+        alone.close()
     assert snapshot(path) == before
     with opened(path) as replay:
-        assert replay.live.stop == 40
+        assert replay.live.stop == 44
 
 
 @contextmanager
@@ -354,28 +327,22 @@ def no_file_larger_than(num_bytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
 
 
-def test_no_room_is_noticed_when_the_replay_is_made(tmp_path: Path) -> None:
-    """Not by a signal in the middle of a run; and nothing half made stays."""
+def test_no_room_is_noticed_when_files_are_made(tmp_path: Path) -> None:
+    """Not by a signal in the middle of a run; nothing half made stays, and the old files do."""
     path = tmp_path / "replay"
     with no_file_larger_than(2_000_000), pytest.raises(RunDirectoryError, match="MiB are needed"):
         directory.create(path, ENV_ID, SPACES, 4_000_000)
     assert [file.name for file in path.iterdir()] == ["lock"]
-    directory.create(path, ENV_ID, SPACES, 1000).close()
-
-
-def test_no_room_for_another_capacity_leaves_the_old_one(tmp_path: Path) -> None:
-    """The new files are made beside the old."""
-    path = fill(tmp_path / "replay")
+    fill(path)
     before = snapshot(path)
     with no_file_larger_than(20_000), pytest.raises(RunDirectoryError, match="MiB are needed"):
         directory.open_existing(path, capacity=100_000)
     assert snapshot(path) == before
     with opened(path, capacity=100_000) as replay:
         assert observations(replay) == [float(i) for i in range(40)]
-    assert {f.name for f in path.iterdir()} == {
-        "index-2.log", "lock", "replay.json",
-        *(f"{name}-2.f32" for name in ("obs", "action", "next_obs", "outcome", "priority")),
-    }  # fmt: skip
+    columns = ("obs", "action", "next_obs", "outcome", "priority")
+    files = {"index-2.log", "lock", "replay.json", *(f"{name}-2.f32" for name in columns)}
+    assert {file.name for file in path.iterdir()} == files
 
 
 def test_no_room_for_a_record_is_an_error_and_the_replay_is_as_before(tmp_path: Path) -> None:
@@ -390,27 +357,3 @@ def test_no_room_for_a_record_is_an_error_and_the_replay_is_as_before(tmp_path: 
         assert observations(replay) == [float(i) for i in range(44)]
     with opened(path) as replay:
         assert (replay.live.stop, replay.torn_records) == (44, 0)
-
-
-def test_a_disk_that_is_full_is_noticed(tmp_path: Path) -> None:
-    """A real one, where we may mount it."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
-    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("mounting is not allowed here")
-    try:
-        assert refusal(disk / "replay", capacity=150_000) == (
-            f"{disk}/replay/action-1.f32: {os.strerror(errno.ENOSPC)}, 1 MiB are needed"
-        )
-        assert [file.name for file in (disk / "replay").iterdir()] == ["lock"]
-        fill(disk / "replay", capacity=1000)
-    finally:
-        subprocess.run(["umount", "--lazy", str(disk)], check=True)
-
-
-def refusal(path: Path, capacity: int) -> str:
-    """What is said when a replay cannot be made there."""
-    with pytest.raises(RunDirectoryError) as caught:
-        directory.create(path, ENV_ID, SPACES, capacity)
-    return str(caught.value)

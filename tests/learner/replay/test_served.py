@@ -1,6 +1,7 @@
 """A replay over the network: what is served is what is there, and the learner comes first."""
 
 import dataclasses
+import itertools
 import socket
 import threading
 from collections.abc import Iterator
@@ -11,16 +12,15 @@ import numpy as np
 import pytest
 from replay_oracle import ENV_ID, SPACES, make_segment
 
-from a2s.learner.replay.remote import RemoteReplay
+from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.learner.replay.served import ServedReplay
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Refusal
-from a2s.protocol.replay_messages import COLUMNS, ReplayRequest, ReplaySample
+from a2s.protocol.replay_messages import COLUMNS, ReplayRequest
 from a2s.protocol.transport import Bus
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -73,31 +73,22 @@ def remote(buses: tuple[Bus, Bus], replay: Replay) -> RemoteReplay:
 def test_what_is_served_is_what_the_same_seed_draws_here(
     remote: RemoteReplay, replay: Replay, prioritised: bool
 ) -> None:
-    """To the bit, whatever was asked for."""
+    """To the bit; another ``end`` in the next answer says why that differs."""
     replay.update_priorities(np.arange(40), np.linspace(0, 1, 40))
     request = dataclasses.replace(REQUEST, prioritised=prioritised)
-    served = remote.ask(request)
+    served, again = remote.ask(request), remote.ask(request)
     here = replay.sample(64, np.random.default_rng(3), n_step=2, gamma=0.5, prioritised=prioritised)
     assert (served.begin, served.end) == (0, 40)
-    assert served.row == tuple(here.row)
+    assert served.row == again.row == tuple(here.row)
     for name in COLUMNS[:-1]:
         assert np.array_equal(getattr(served, name), getattr(here, name))
-
-
-def test_the_same_request_gives_the_same_batch_until_something_is_inserted(
-    remote: RemoteReplay, replay: Replay
-) -> None:
-    """Who finds another ``end`` in the answer knows why it differs."""
-    first, again = remote.ask(REQUEST), remote.ask(REQUEST)
-    assert (first.row, first.end) == (again.row, again.end)
     replay.insert(make_segment([7.0, 8.0], [1.0], seq=2))
-    assert remote.ask(REQUEST).end == 41
+    assert remote.ask(request).end == 41
 
 
 def test_it_is_sampled_like_a_replay_that_is_here(
     remote: RemoteReplay, rng: np.random.Generator
 ) -> None:
-    """A second learner needs to know no difference."""
     info = remote.info()
     assert (info.run, info.generation, info.env_id) == ("r", 2, ENV_ID)
     assert info.spaces.differs_from(SPACES) == ""
@@ -125,39 +116,31 @@ def test_what_cannot_be_served_is_refused_with_a_reason(
         remote.sample(4097, rng)
     # Somebody else's client may not check.
     payload = encode(REQUEST).replace(b"\xaabatch_size\x40", b"\xaabatch_size\xce\x7f\xff\xff\xff")
-    answer = buses[1].ask(KEYS.replay_sample, payload, 10.0)
-    assert answer is not None
-    assert "batch_size: found 2147483647" in decode(answer, Refusal).reason
-    answer = buses[1].ask(KEYS.replay_sample, b"?", 10.0)
-    assert answer is not None
-    assert decode(answer, Refusal).reason.startswith("ReplayRequest: ")
+    for unchecked, reason in [(payload, "batch_size: found 2147483647"), (b"?", "ReplayRequest: ")]:
+        answer = buses[1].ask(KEYS.replay_sample, unchecked, 10.0)
+        assert answer is not None
+        assert reason in decode(answer, Refusal).reason
+    with pytest.raises(UnreachableError, match="other/replay/info: no answer"):
+        RemoteReplay(buses[1], Keys("other")).info()
 
 
 def test_an_empty_replay_and_an_answer_too_large_are_refused(rng: np.random.Generator) -> None:
     """The limit of a message holds for the answer as well."""
     exchange = Exchange()
-    bus = InProcessBus(exchange)
-    zeros = np.zeros(1, np.float32)
-    wide = Spaces(obs_size=2000, action_low=zeros, action_high=zeros + 1)
+    zeros = np.zeros((1, 2000), np.float32)
+    wide = Spaces(obs_size=2000, action_low=zeros[0, :1], action_high=zeros[0, :1] + 1)
     replay = Replay.in_memory(ENV_ID, wide, 10)
-    ServedReplay(bus, KEYS, replay, generation=1, share=1.0).open()
+    ServedReplay(InProcessBus(exchange), KEYS, replay, generation=1, share=1.0).open()
     remote = RemoteReplay(InProcessBus(exchange), KEYS)
     with pytest.raises(RefusedError, match="found no transition to sample"):
         remote.sample(1, rng)
     narrow = make_segment([1.0, 2.0], [1.0])
     replay.insert(
-        dataclasses.replace(
-            narrow,
-            obs=np.zeros((1, 2000), np.float32),
-            final_obs=np.zeros(2000, np.float32),
-            suggestion=np.zeros((1, 1), np.float32),
-        )
+        dataclasses.replace(narrow, obs=zeros, final_obs=zeros[0], suggestion=zeros[:, :1])
     )
     assert len(remote.sample(16, rng).row) == 16
     with pytest.raises(RefusedError, match=r"ReplaySample: found \d+ bytes, expected at most"):
         remote.sample(4096, rng)
-    with pytest.raises(UnreachableError, match="other/replay/info: no answer"):
-        RemoteReplay(InProcessBus(exchange), Keys("other")).info()
 
 
 def test_answers_take_their_share_of_the_time_and_no_more(replay: Replay) -> None:
@@ -166,7 +149,7 @@ def test_answers_take_their_share_of_the_time_and_no_more(replay: Replay) -> Non
     now_s, rested = [0.0], []
 
     def clock() -> float:
-        now_s[0] += 1.0  # whatever is done takes a second
+        now_s[0] += 1.0  # everything takes a second
         return now_s[0]
 
     def rest(seconds: float) -> None:
@@ -193,26 +176,24 @@ def test_many_clients_sample_while_the_learner_inserts_and_samples(
 
     def learn() -> None:
         rng = np.random.default_rng(0)
-        seq = 2
-        while not stop.is_set():
+        for seq in itertools.count(2):
+            if stop.is_set():
+                return
             obs = [100.0 * seq + i for i in range(21)]
             replay.insert(make_segment(obs, [1.0] * 20, seq=seq, end="terminated"))
             batch = replay.sample(32, rng, prioritised=True)
             replay.update_priorities(batch.row, np.abs(batch.reward))
-            seq += 1
 
     def check(client: int) -> None:
         for i in range(30):
-            sample: ReplaySample = remote.ask(
-                dataclasses.replace(REQUEST, seed=31 * client + i, prioritised=bool(i % 2))
-            )
+            seed, prioritised = 31 * client + i, bool(i % 2)
+            sample = remote.ask(dataclasses.replace(REQUEST, seed=seed, prioritised=prioritised))
             assert sample.obs is not None
             assert sample.next_obs is not None
             row = np.array(sample.row)
             assert sample.begin <= row.min()
             assert row.max() < sample.end <= sample.begin + 100
-            expected = 100.0 * (row // 20) + row % 20
-            assert np.array_equal(sample.obs[:, 0], expected.astype(np.float32))
+            assert np.array_equal(sample.obs[:, 0], 100.0 * (row // 20) + row % 20)
             far = np.minimum(2, 20 - row % 20)
             assert np.array_equal(sample.next_obs[:, 0] - sample.obs[:, 0], far)
 

@@ -222,10 +222,6 @@ def test_paper_has_neither_entropy_nor_target_networks() -> None:
             r"quantiles_to_drop: found 5, expected fewer than num_quantiles \(5\)",
         ),
         (
-            {"policy_loss": "score", "distil_suggestions": 1},
-            "distil_suggestions: found 1, expected at least 2 with policy_loss score",
-        ),
-        (
             {"initial_temperature": 0, "temperature_learning_rate": 0},
             "initial_temperature: found 0.0, expected above 0 with selection soft",
         ),

@@ -74,8 +74,7 @@ def test_a_table_of_updates_keeps_the_columns_that_it_began_with(tmp_path: Path)
 
 def test_episodes_are_read_back(tmp_path: Path) -> None:
     directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
-    row = {"env_steps": 5, "actor": 0, "weights_version": 1, "length": 5, "terminated": 1}
-    directory.episode({}, **row, **{"return": "-3.25"})
+    directory.episode((5, 0, 1, "-3.25", 5, 1), {})
     assert list(directory.read_episodes()) == [(0.0, -3.25, 5, {})]
     directory.close()
     header, line = (tmp_path / "episodes.csv").read_text().splitlines()
@@ -86,19 +85,19 @@ def test_episodes_are_read_back(tmp_path: Path) -> None:
 def test_what_environments_tell_has_columns_from_the_first_episode_that_has_it(
     tmp_path: Path,
 ) -> None:
-    row = {"env_steps": 5, "actor": 0, "weights_version": 1, "return": "1", "length": 5}
+    row = (5, 0, 1, "1", 5, 1)
     directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
-    directory.episode({}, **row, terminated=1)
-    directory.episode({"is_success": 1.0}, **row, terminated=1)
+    directory.episode(row, {})
+    directory.episode(row, {"is_success": 1.0})
     directory.close()
     again = RunDirectory(tmp_path, ("update",), lambda: 0.0)
-    again.episode({"distance": 0.25}, **row, terminated=0)
+    again.episode(row, {"distance": 0.25})
     told = [metrics for *_, metrics in again.read_episodes()]
     assert told == [{}, {"is_success": 1.0}, {"distance": 0.25}]
     again.close()
     header, first, *_, last = (tmp_path / "episodes.csv").read_text().splitlines()
     assert header.endswith(",terminated,is_success,distance")
-    assert (first, last) == ("0.000,5,0,1,1,5,1,,", "0.000,5,0,1,1,5,0,,0.25")
+    assert (first, last) == ("0.000,5,0,1,1,5,1,,", "0.000,5,0,1,1,5,1,,0.25")
 
 
 @pytest.mark.parametrize("torn", ["1.000,9", "1.000,9,0,1,-3.25,5,1"])
@@ -107,8 +106,7 @@ def test_a_torn_row_is_forgotten(tmp_path: Path, torn: str) -> None:
     with (tmp_path / "episodes.csv").open("a") as file:
         file.write(f"0.000,5,0,1,1.5,5,1\r\n{torn}")
     directory = RunDirectory(tmp_path, ("update",), lambda: 2.0)
-    row = {"env_steps": 7, "actor": 0, "weights_version": 1, "length": 2, "terminated": 1}
-    directory.episode({}, **row, **{"return": "2.5"})
+    directory.episode((7, 0, 1, "2.5", 2, 1), {})
     assert list(directory.read_episodes()) == [(0.0, 1.5, 5, {}), (2.0, 2.5, 2, {})]
     directory.close()
 

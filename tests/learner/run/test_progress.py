@@ -1,59 +1,68 @@
-"""Progress: plain lines say all there is; the picture says why it waits."""
+"""Progress: plain lines say all there is; the display says why it waits."""
 
 import io
-from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
-from a2s.learner.run.progress import LiveView, PlainView, Progress, sparkline, thin
+from a2s.learner.ingest.members import Member
+from a2s.learner.run.config import RunConfig
+from a2s.learner.run.progress import LiveView, PlainView, sparkline, thin
+from a2s.learner.run.status import Status
 
-NOW = Progress(
-    env_steps=2048, total_steps=10_000, episodes=12, return_mean=103.25, return_best=211.0,
-    updates=1, weights_version=2, recoveries=0, actors=2, num_envs=16, waiting_for="", wall_s=2.0,
-    kl=0.0123,
-)  # fmt: skip
+ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=0.0) for name in "ab"]
 
 
-def test_a_plain_line_has_every_number() -> None:
+@pytest.fixture
+def status() -> Status:
+    """After one update."""
+    made = Status(RunConfig(total_steps=10_000), env_steps=2048, updates=1, version=2)
+    for episode_return in (-4.5, 211.0):
+        made.episodes.add(episode_return, 100, {"is_success": 0.5})
+    return made
+
+
+def test_a_plain_line_has_every_number(status: Status) -> None:
     out = io.StringIO()
-    PlainView(out).show(replace(NOW, waiting_for="segments of version 2 from actors [1]"))
+    status.waiting_for = "segments of version 2 from actors [1]"
+    PlainView(out).show(status, ACTORS, None)
     assert out.getvalue() == (
-        "steps=2048 steps_per_s=0 return=103.2 best=211.0 episodes=12 version=2 recoveries=0 "
-        "actors=2 waiting_for='segments of version 2 from actors [1]'\n"
+        "steps=2048 steps_per_s=0 return=103.2 best=211.0 episodes=2 version=2 recoveries=0 "
+        "actors=2 is_success=0.5 waiting_for='segments of version 2 from actors [1]'\n"
     )
 
 
 def test_tiny_returns_are_not_0() -> None:
-    out = io.StringIO()
-    PlainView(out).show(replace(NOW, return_mean=-3.21e-6, return_best=None))
-    assert " return=-3.21e-06 best=- " in out.getvalue()
+    out, status = io.StringIO(), Status(RunConfig())
+    status.episodes.add(-3.21e-6, 1, {})
+    PlainView(out).show(status, [], None)
+    assert " return=-3.21e-06 best=-3.21e-06 " in out.getvalue()
 
 
-def test_lines_come_every_few_seconds_not_at_every_call() -> None:
+def test_lines_come_every_few_seconds_not_at_every_call(status: Status) -> None:
     out = io.StringIO()
     view = PlainView(out)
-    for step in range(100):
-        view.show(replace(NOW, env_steps=step))
+    for _ in range(100):
+        view.show(status, ACTORS, None)
     assert out.getvalue().count("\n") == 1
 
 
-def test_the_picture_shows_the_numbers_and_the_curve() -> None:
+def test_the_display_shows_the_numbers(status: Status) -> None:
     out = io.StringIO()
-    console = Console(file=out, force_terminal=True, width=100)
-    view = LiveView(console, "hopper")
-    view.show(NOW)
+    view = LiveView(Console(file=out, force_terminal=True, width=120), "hopper")
+    view.show(status, ACTORS, 0.0123)
     view.close()
     text = out.getvalue()
     for expected in ("hopper", "2,048 of 10,000", "103.2", "2 with 16 environments", "0.0123"):
         assert expected in text
 
 
-def test_a_curve_keeps_its_shape_in_bounded_space() -> None:
-    points: list[float] = []
-    for value in range(10_000):
-        points = thin([*points, float(value)])
-    assert len(points) <= 120
-    assert points[-1] == 9999.0
-    assert points == sorted(points)
+def test_a_curve_is_drawn_between_its_extremes_and_never_longer_than_a_line() -> None:
+    """The newest point stays when a long curve is halved."""
     assert sparkline([0.0, 1.0, 2.0]) == " ▄█"
-    assert len(sparkline(points)) <= 60
+    assert sparkline([]) == ""
+    curve: list[float] = []
+    for value in range(200):
+        curve = thin([*curve, float(value)])
+        assert curve[-1] == value
+        assert len(curve) <= 60

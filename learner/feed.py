@@ -1,0 +1,94 @@
+"""Where the steps of a run come from, as the learner's loop sees it."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, Self
+
+from a2s.learner.ingest.ledger import Accounts
+from a2s.learner.ingest.members import Member
+from a2s.protocol.messages import RecoveryEvent, RunStatus, Segment
+
+
+class Episode(NamedTuple):
+    """An episode that ended; ``metrics`` is what its environment told, by name."""
+
+    weights_version: int
+    episode_return: float
+    length: int
+    terminated: bool
+    metrics: Mapping[str, float]
+
+
+class Arrival(NamedTuple):
+    """Steps that were stored to be learned from, and the episode that ended with them, if any."""
+
+    slot: int
+    env: int
+    seq: int
+    num_steps: int
+    episode: Episode | None = None
+
+    @classmethod
+    def of(cls, segment: Segment, slot: int) -> Self:
+        """What is counted of a segment from the actor at a place."""
+        episode = None
+        if segment.ends_episode:
+            episode = Episode(
+                weights_version=segment.weights_version,
+                episode_return=segment.episode_return,
+                length=segment.episode_length,
+                terminated=segment.terminated,
+                metrics={metric.name: metric.value for metric in segment.metrics},
+            )
+        return cls(slot, segment.env, segment.seq, segment.num_steps, episode)
+
+
+class Attendance(NamedTuple):
+    """The actors present, by slot, and what came of all segments so far."""
+
+    members: tuple[Member, ...] = ()
+    pending_steps: int = 0
+    accounts: Accounts = Accounts()
+    dropped_steps: int = 0
+
+
+class Feed:
+    """A feed without actors; `ingest.server.Server` is the one with them."""
+
+    def open(self, status: Callable[[], RunStatus]) -> None:
+        """Begin; who asks for the status is given it."""
+
+    def next_version(self, version: int) -> int:
+        """What the weights after a version are called."""
+        return version + 1
+
+    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
+        """Give the present networks to the actors under this version."""
+
+    def announce_recovery(self, event: RecoveryEvent) -> None:
+        """Tell everybody who listens that the learner went back."""
+
+    def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
+        """Wait until the next batch is stored.
+
+        Args:
+            proceed: Told what is waited for, about once a second; when false, the wait ends.
+
+        Returns:
+            What it is made of, in an order that does not depend on the order of arrival; empty
+            when told not to proceed.
+
+        Raises:
+            A2SError: Steps cannot be stored, or the replay cannot be reached.
+        """
+        raise NotImplementedError
+
+    def attendance(self) -> Attendance:
+        """Take a look at the actors."""
+        return Attendance()
+
+    def stop(self) -> list[Arrival]:
+        """Take no more steps, and return those that came too late to be a batch."""
+        return []
+
+    def close(self) -> None:
+        """Close connections and files."""

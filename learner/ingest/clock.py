@@ -1,0 +1,100 @@
+"""The two clocks of a run: when a batch is complete, and whether actors wait for weights."""
+
+from dataclasses import dataclass, field
+
+from a2s.learner.feed import Arrival
+from a2s.learner.ingest.members import SILENT_S, Member
+from a2s.protocol import messages
+from a2s.protocol.messages import Notice
+
+_MAX_BATCHES = 4
+_PATIENCE = 10
+
+
+@dataclass(slots=True, kw_only=True)
+class Round:
+    """The batch that is played now.
+
+    Attributes:
+        notice: Of the newest weights, with the quota.
+        batch_steps: Steps that are wanted.
+        published_s: When the weights came out, on the monotonic clock.
+        arrivals: What was accepted.
+        steps: Steps of the arrivals.
+    """
+
+    notice: Notice
+    batch_steps: int
+    published_s: float
+    arrivals: list[Arrival] = field(default_factory=list)
+    steps: int = 0
+
+    @property
+    def num_batches(self) -> float:
+        """Batches that the arrivals are enough for."""
+        return self.steps / self.batch_steps
+
+
+class Lockstep:
+    """One version, one batch: complete when everybody present has played the quota.
+
+    Attributes:
+        waits_for_weights: Actors play their quota, then wait for the next version.
+    """
+
+    waits_for_weights = True
+
+    def is_filled(self, played: Round) -> bool:
+        """Whether the batch is complete whoever still plays: a quota is always taken whole."""
+        return False
+
+    def is_flooded(self, played: Round) -> bool:
+        """Whether more waits than can be learned from in time: never, for the same reason."""
+        return False
+
+    def missing(self, played: Round, members: list[Member], now_s: float) -> str:
+        """What the batch waits for, given who was heard; "" if it is complete.
+
+        Those who are late are waited for, unless they need ten times as long as all others.
+        """
+        late = [m for m in members if not m.has_delivered(played.notice)]
+        done_s = [m.done_s - played.published_s for m in members if m not in late]
+        waited_s = now_s - played.published_s
+        if late and not (done_s and waited_s > max(SILENT_S, _PATIENCE * max(done_s))):
+            slots = [m.slot for m in late]
+            return f"segments of version {played.notice.version} from actors {slots}{_doing(late)}"
+        return "" if played.arrivals else "segments"
+
+
+class Async:
+    """Actors do not wait for weights: a batch is complete at its number of steps."""
+
+    waits_for_weights = False
+
+    def is_filled(self, played: Round) -> bool:
+        """Whether it has its number of steps."""
+        return played.steps >= played.batch_steps
+
+    def is_flooded(self, played: Round) -> bool:
+        """Whether four batches wait."""
+        return played.num_batches >= _MAX_BATCHES
+
+    def missing(self, played: Round, members: list[Member], now_s: float) -> str:
+        """What a batch waits for that is not filled: the rest of its steps."""
+        return f"{played.batch_steps - played.steps} more steps{_doing(members)}"
+
+
+Clock = Lockstep | Async
+
+
+def clock_of(name: messages.Clock) -> Clock:
+    """Make the clock that a run is configured for."""
+    return Lockstep() if name == "lockstep" else Async()
+
+
+def _doing(members: list[Member]) -> str:
+    """Say which call into an environment keeps the first of some members, if one does."""
+    for member in members:
+        if member.status is not None and member.status.doing:
+            return f", actor {member.slot}: {member.status.doing}"
+    return ""

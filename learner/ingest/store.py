@@ -1,0 +1,45 @@
+"""What ingest asks of the place where accepted segments go."""
+
+from typing import NamedTuple, Protocol
+
+from a2s.protocol.messages import Segment
+
+
+class Quota(NamedTuple):
+    """Steps of a batch, and the share of every environment: steps and whole episodes."""
+
+    batch_steps: int
+    steps: int
+    episodes: int
+
+
+class Store(Protocol):
+    """Where accepted segments go: the one place that holds what a variant learns from.
+
+    Attributes:
+        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
+        max_suggestion: Largest absolute value in a suggestion.
+    """
+
+    max_policy_lag: int | None
+    max_suggestion: float
+
+    def quota(self, num_envs: int) -> Quota:
+        """What is to be played next by ``num_envs`` environments."""
+        ...
+
+    def store(self, slot: int, segment: Segment) -> None:
+        """Take a segment, before it is acknowledged.
+
+        Raises:
+            RunDirectoryError: It cannot be written.
+        """
+        ...
+
+    def close_batch(self) -> None:
+        """Learn next from what was stored so far; what comes now is for the batch after."""
+        ...
+
+    def hold_s(self, num_batches: float) -> float:
+        """Seconds that actors should wait because learning is behind by so many batches."""
+        ...

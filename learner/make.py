@@ -1,0 +1,187 @@
+"""Makes the learner of a run: with actors, or from another run's replay."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from a2s.learner.export.metadata import policy_metadata
+from a2s.learner.ingest.admission import Admission
+from a2s.learner.ingest.ingest import Ingest
+from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.server import Server
+from a2s.learner.learner import Learner
+from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.off_policy_trainer import AnyReplay, OffPolicyTrainer
+from a2s.learner.on_policy_trainer import OnPolicyTrainer
+from a2s.learner.other_replay import OtherReplay, ReplayFeed
+from a2s.learner.own_replay import OwnReplay
+from a2s.learner.replay.remote import ServedReplay
+from a2s.learner.run import checkpoint, saver
+from a2s.learner.run.config import Configuration, RunConfig
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import View
+from a2s.learner.trainer import Saved, Trainer
+from a2s.protocol.fields import Spaces
+from a2s.protocol.keys import Keys
+from a2s.protocol.transport import Bus
+
+
+def make_learner(
+    *,
+    configuration: Configuration,
+    spaces: Spaces,
+    layout: Sequence[tuple[str, int]],
+    bus: Bus,
+    path: Path,
+    metrics: LearnerMetrics,
+    view: View,
+    resume: bool,
+) -> Learner:
+    """Make the learner of a run with actors.
+
+    Args:
+        configuration: Of the run.
+        spaces: Of its environment.
+        layout: Names and sizes of the parts of an observation, in the order of its numbers.
+        bus: A connection on which actors find it; closed at the end.
+        path: Directory of the run.
+        metrics: Of this process.
+        view: Where progress is shown.
+        resume: Go on from the newest checkpoint in ``path``.
+
+    Raises:
+        RunDirectoryError: ``path`` cannot be written, or resumed.
+        UsageError: The hyperparameters contradict each other.
+    """
+    run, hyper = configuration.run, configuration.hyper
+    kind = f"{run.variant} on {run.env}"
+    saved = checkpoint.load(path / "checkpoints", kind=kind) if resume else None
+    if saved is not None:
+        spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
+    metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
+    ledger = Ledger(path / "segments.log")
+    trainer: Trainer
+    store: OwnReplay | OnPolicyTrainer
+    if isinstance(hyper, OffPolicyConfig):
+        trainer, store = make_off_policy(
+            run, spaces, hyper, path, ledger, metadata, metrics, learned
+        )
+    else:
+        trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
+    return Learner(
+        run=run,
+        trainer=trainer,
+        connect=partial(_connect, run, spaces, bus, ledger, metrics, store),
+        env_steps=ledger.accepted_steps,
+        path=path,
+        kind=kind,
+        spaces=spaces,
+        saved=saved,
+        metrics=metrics,
+        view=view,
+    )
+
+
+def make_replay_learner(
+    *,
+    configuration: Configuration,
+    spaces: Spaces,
+    replay: AnyReplay,
+    size: Callable[[], int],
+    max_size: int,
+    path: Path,
+    metrics: LearnerMetrics,
+    view: View,
+    resume: bool,
+) -> Learner:
+    """Make a learner without actors, which learns off-policy from another run's replay.
+
+    The arguments are those of `make_learner` and `OtherReplay`.
+
+    Raises:
+        UsageError: The replay never holds as much as a batch.
+        RunDirectoryError: ``path`` cannot be written, or resumed.
+    """
+    run, hyper = configuration.run, configuration.hyper
+    assert isinstance(hyper, OffPolicyConfig)
+    source = OtherReplay(replay, size, max_size, spaces, hyper, run.seed, metrics)
+    kind = f"off-policy on {run.env} from a replay"
+    saved = checkpoint.load(path / "checkpoints", kind=kind) if resume else None
+    algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved))
+    metadata = policy_metadata(run, spaces)
+    trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
+    feed = ReplayFeed(source, trainer, hyper.utd_ratio)
+    return Learner(
+        run=run,
+        trainer=trainer,
+        connect=lambda *_: feed,
+        env_steps=feed.env_steps(updates),
+        path=path,
+        kind=kind,
+        spaces=spaces,
+        saved=saved,
+        metrics=metrics,
+        view=view,
+    )
+
+
+def make_off_policy(
+    run: RunConfig,
+    spaces: Spaces,
+    hyper: OffPolicyConfig,
+    path: Path,
+    ledger: Ledger,
+    metadata: dict[str, str],
+    metrics: LearnerMetrics,
+    saved: Saved | None,
+) -> tuple[OffPolicyTrainer, OwnReplay]:
+    """Make the trainer and the replay of a run in a directory.
+
+    Raises:
+        RunDirectoryError: The replay cannot be made or opened, or what was saved does not fit.
+        UsageError: The hyperparameters contradict each other.
+    """
+    algorithm, updates = _off_policy(run, spaces, hyper, saved)
+    replay = OwnReplay(
+        path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics,
+        saved[1] if saved else None,
+    )  # fmt: skip
+    trainer = OffPolicyTrainer(algorithm, replay, spaces, metadata, metrics, updates)
+    return trainer, replay
+
+
+def _off_policy(
+    run: RunConfig, spaces: Spaces, hyper: OffPolicyConfig, saved: Saved | None
+) -> tuple[OffPolicy, int]:
+    """Make the algorithm in the state to go on from, after so many updates."""
+    algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, run.seed, run.device)
+    if saved is None:
+        return algorithm, 0
+    algorithm.load(saved[0])
+    return algorithm, saved[1]["updates"]
+
+
+def _connect(
+    run: RunConfig,
+    spaces: Spaces,
+    bus: Bus,
+    ledger: Ledger,
+    metrics: LearnerMetrics,
+    store: OwnReplay | OnPolicyTrainer,
+    generation: int,
+    on_event: Callable[..., None],
+) -> Server:
+    """Make what actors find on the bus; it answers once it is opened."""
+    lag, suggestion = store.max_policy_lag, store.max_suggestion
+    admission = Admission(run, spaces, generation, lag, suggestion)
+    ingest = Ingest(admission, ledger, metrics, on_event, store)
+    keys = Keys(run.run)
+    if isinstance(store, OwnReplay):
+        ServedReplay(bus, keys, store.replay, generation).open()
+    return Server(bus, keys, generation, ingest, store, metrics)
+
+
+def _of_trainer(saved: Saved | None) -> Saved | None:
+    return None if saved is None else (saved[0], saved[1]["algorithm"])

@@ -1,0 +1,216 @@
+"""The replay of the run itself: filled by its actors, learned from at the limiter's pace."""
+
+import logging
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.store import Quota
+from a2s.learner.off_policy.config import OffPolicyConfig
+from a2s.learner.off_policy_trainer import draw_batch, draw_returns
+from a2s.learner.replay import directory, files
+from a2s.learner.replay.limiter import Limiter
+from a2s.learner.replay.replay import Replay
+from a2s.learner.replay.ring import Rows
+from a2s.learner.replay.sampling import Transitions
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.protocol.fields import Array, Spaces
+from a2s.protocol.messages import Segment
+
+logger = logging.getLogger(__name__)
+
+_MIN_HOLD_S = 0.02
+
+
+class OwnReplay:
+    """A `Store` and the `Source` of an `OffPolicyTrainer`: its rows are the road between them.
+
+    Args:
+        path: Its directory.
+        env_id: Environment.
+        spaces: Its spaces.
+        hyper: Hyperparameters.
+        seed: Of the draws.
+        ledger: Knows which segments were acknowledged.
+        metrics: Where its state is shown.
+        saved: A `state` to go on from; rows inserted since then belong to the next batch.
+
+    Attributes:
+        replay: The rows.
+
+    Raises:
+        RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
+        UsageError: The hyperparameters contradict each other.
+    """
+
+    columns: tuple[str, ...] = ("gradient_steps", "replay_rows", "samples_per_insert_error")
+    max_policy_lag: int | None = None
+    max_suggestion = 1.001  # 1, and what rounding may add
+
+    def __init__(
+        self,
+        path: Path,
+        env_id: str,
+        spaces: Spaces,
+        hyper: OffPolicyConfig,
+        seed: int,
+        ledger: Ledger,
+        metrics: LearnerMetrics,
+        saved: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._hyper, self._metrics = hyper, metrics
+        self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+        samples_per_step = hyper.utd_ratio * hyper.batch_rows
+        self._limiter = Limiter(
+            samples_per_step,
+            hyper.warm_up_steps,
+            max(hyper.lead_steps * samples_per_step, hyper.batch_rows),
+            segment_steps=hyper.send_every_steps,
+            batch_size=hyper.batch_rows,
+        )
+        self._quota_steps = hyper.send_every_steps
+        self._update_s = 0.01
+        self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
+        self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned)
+        num_rows = self.replay.live.stop
+        self._num_learned = min(self._num_learned, num_rows)  # another replay may have been begun
+        self._limiter.count_insert(num_rows)
+        if saved is not None:
+            self._limiter.load(saved["limiter"], num_rows)
+            self.replay.highest_priority = saved["highest_priority"]
+            self._rng.bit_generator.state = saved["rng"]
+        self._shown_waits = self._waits()  # by this process
+        self.close_batch()
+        torn = self.replay.torn_records
+        metrics.replay_torn.inc(torn)
+        if torn:
+            logger.warning("replay %s: cut %d torn records at its end", path, torn)
+        self._show()
+
+    # For ingest.
+
+    def quota(self, num_envs: int) -> Quota:
+        """As many steps of every environment as an actor sends at once, if it may send them all.
+
+        Actors are held back when learning is behind: a round that waited for more steps than they
+        may send would wait long.
+        """
+        steps = self._hyper.send_every_steps
+        self._quota_steps = steps * num_envs
+        return Quota(max(1, min(self._quota_steps, self._limiter.free_inserts)), steps, 0)
+
+    def store(self, slot: int, segment: Segment) -> None:
+        """Insert a segment; it survives the death of this process then."""
+        self.replay.insert(segment)
+        self._limiter.count_insert(segment.num_steps)
+
+    def close_batch(self) -> None:
+        """Let updates be due for the rows inserted so far, and no more."""
+        self._new_obs = self.replay.obs_since(self._num_learned)
+        self._num_closed = self.replay.live.stop
+
+    def hold_s(self, num_batches: float) -> float:
+        """Time that learning needs to be back within its band, at the best pace of its last round.
+
+        Not at the mean one: the first update ever compiles for seconds. Never longer than a round,
+        for the next one begins only when more was played.
+        """
+        if self._limiter.may_insert():
+            return 0.0
+        behind = self._limiter.excess / self._hyper.batch_rows
+        return min(max(behind * self._update_s, _MIN_HOLD_S), self._max_updates * self._update_s)
+
+    # For the trainer.
+
+    def new_obs(self, updates: int) -> Array:
+        """Observations of the rows of this batch."""
+        self._num_learned = self._num_closed
+        return self._new_obs
+
+    def may_update(self, updates: int, made: int) -> bool:
+        """Whether one is due for the rows of this batch.
+
+        A round with much to catch up with ends at twice the updates that a quota asks for.
+        """
+        return made < self._max_updates and self._limiter.may_sample(self._num_learned)
+
+    def draw_returns(self, updates: int) -> Array:
+        """Draw discounted returns."""
+        return draw_returns(self.replay, self._hyper, self._rng)
+
+    def draw(self, updates: int) -> Transitions:
+        """Draw the batch of an update."""
+        return draw_batch(self.replay, self._hyper, self._rng)
+
+    def learned(self, row: Rows, error: Tensor) -> None:
+        """Count the batch, and let errors become priorities where they count."""
+        if self._hyper.prioritised:
+            self.replay.update_priorities(row, error.cpu().numpy())
+        self._limiter.count_sample()
+
+    def end_round(self, made: int, update_s: float) -> Mapping[str, object]:
+        """Show where sampling stands."""
+        self._update_s = update_s if made else self._update_s
+        self._show()
+        return dict(zip(self.columns, (made, len(self.replay), self._limiter.error), strict=True))
+
+    def state(self) -> dict[str, object]:
+        """Of the limiter and the draws; the rows are on the disk."""
+        self.replay.flush()
+        return {
+            "learned_from": self._num_learned,
+            "limiter": self._limiter.state(),
+            "highest_priority": self.replay.highest_priority,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def close(self) -> None:
+        """Close the files."""
+        self.replay.close()
+
+    @property
+    def _max_updates(self) -> int:
+        """Updates of a round at most."""
+        return 2 * math.ceil(self._quota_steps * self._hyper.utd_ratio)
+
+    def _waits(self) -> dict[str, int]:
+        return {"insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits}
+
+    def _show(self) -> None:
+        self._metrics.replay_rows.set(len(self.replay))
+        self._metrics.limiter_error.set(self._limiter.error)
+        waits = self._waits()
+        for side, count in waits.items():
+            self._metrics.limiter_waits.labels(side=side).inc(count - self._shown_waits[side])
+        self._shown_waits = waits
+
+
+def _open(
+    path: Path,
+    env_id: str,
+    spaces: Spaces,
+    hyper: OffPolicyConfig,
+    ledger: Ledger,
+    num_learned: int,
+) -> Replay:
+    """Open the replay that is there, given the wanted capacity; else make one."""
+    alpha = hyper.priority_exponent
+    sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
+    if not (path / files.NAME).exists():
+        if num_learned:
+            logger.warning("replay %s: is not there any more, another is begun", path)
+        return directory.create(path, env_id, spaces, alpha=alpha, **sizes)
+    return directory.open_existing(
+        path,
+        env_id=env_id,
+        spaces=spaces,
+        is_known=ledger.knows,
+        least_rows=num_learned,
+        alpha=alpha,
+        **sizes,
+    )

@@ -1,0 +1,43 @@
+"""Finished episodes, written down."""
+
+from a2s.learner.feed import Episode
+from a2s.learner.run.directory import RunDirectory, column_of
+from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.metrics import LearnerMetrics
+
+
+class EpisodeLog:
+    """Writes a row for every finished episode, and counts it.
+
+    Args:
+        stats: Added to.
+        directory: Of the run.
+        metrics: Where they are counted.
+        metric_names: What is kept of what environments tell.
+    """
+
+    def __init__(
+        self,
+        stats: EpisodeStats,
+        directory: RunDirectory,
+        metrics: LearnerMetrics,
+        metric_names: tuple[str, ...],
+    ) -> None:
+        self._stats, self._directory, self._metrics = stats, directory, metrics
+        self._metric_names = metric_names
+
+    def add(self, episode: Episode, slot: int, env_steps: int) -> None:
+        """Write down an episode of the actor at a place, after so many steps of the run."""
+        told = episode.metrics.items()
+        metrics = {column_of(n): value for n, value in told if n in self._metric_names}
+        self._stats.add(episode.episode_return, episode.length, metrics)
+        self._metrics.episodes.inc()
+        row = (
+            env_steps,
+            slot,
+            episode.weights_version,
+            f"{episode.episode_return:.9g}",
+            episode.length,
+            int(episode.terminated),
+        )
+        self._directory.episode(row, metrics)

@@ -1,0 +1,108 @@
+"""What outlasts this process: policies and checkpoints, and going on from them."""
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from a2s.learner.run import checkpoint
+from a2s.learner.run.directory import RunDirectory
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.status import Status
+from a2s.learner.trainer import Trainer
+from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.fields import Array
+
+logger = logging.getLogger(__name__)
+
+
+class Saver:
+    """Saves a run, and goes on with it.
+
+    Args:
+        trainer: What is saved.
+        status: What the run has reached; saved as well.
+        directory: Of the run.
+        metrics: Where checkpoints are shown.
+        kind: Of the run, in words; another kind cannot go on from its checkpoints.
+        obs_offset: Of the environment; saved as well.
+
+    Attributes:
+        latest: The policy that was saved last, as ONNX.
+    """
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        status: Status,
+        directory: RunDirectory,
+        metrics: LearnerMetrics,
+        kind: str,
+        obs_offset: Array | None,
+    ) -> None:
+        self._trainer, self._status, self._directory = trainer, status, directory
+        self._metrics, self._kind, self._obs_offset = metrics, kind, obs_offset
+        self.latest = b""
+
+    def save(self) -> None:
+        """Write ``latest/policy.onnx`` and a checkpoint.
+
+        Raises:
+            RunDirectoryError: They cannot be written.
+        """
+        status, offset = self._status, self._obs_offset
+        tensors, algorithm = self._trainer.state()
+        self.latest = self.keep_policy("latest")
+        state = {
+            "algorithm": algorithm,
+            "rows": status.rows,
+            "version": status.version,
+            "num_recoveries": status.num_recoveries,
+            "best_recent": status.best_recent,
+            "wall_s": status.wall_s,
+            "obs_offset": None if offset is None else offset.tolist(),
+        }
+        folder, updates = self._directory.path / "checkpoints", self._trainer.updates
+        with self._metrics.checkpoint_seconds.time():
+            _, size = checkpoint.save(folder, updates, tensors, state, kind=self._kind)
+        self._metrics.checkpoint_time.set_to_current_time()
+        self._metrics.checkpoint_bytes.set(size)
+
+    def try_save(self) -> None:
+        """Save; if that fails the run goes on, for the next time may succeed."""
+        try:
+            self.save()
+        except RunDirectoryError as error:
+            self._metrics.checkpoint_failures.inc()
+            logger.warning("%s; going on without it", error)
+
+    def keep_policy(self, place: str) -> bytes:
+        """Write ``PLACE/policy.onnx``: the present policy, averaged where the variant does."""
+        status = self._status
+        graph = self._trainer.graph(status.networks_version, status.fraction, averaged=True)
+        self._directory.policy(place, graph)
+        return graph
+
+    def keep_best(self) -> None:
+        """Keep the policy, if the returns of the newest episodes are the best so far."""
+        recent, best = self._status.episodes.recent_return, self._status.best_recent
+        if recent is not None and (best is None or recent > best):
+            self._status.best_recent = recent
+            self.keep_policy("best")
+
+    def go_on(self, state: dict[str, Any]) -> None:
+        """Take up what a checkpoint says, and the episodes since; forget later updates."""
+        status = self._status
+        status.version, status.num_recoveries = state["version"], state["num_recoveries"]
+        status.best_recent, status.worked_s = state["best_recent"], state["wall_s"]
+        status.updates, status.rows = self._trainer.updates, state["rows"]
+        for wall_s, episode_return, length, metrics in self._directory.read_episodes():
+            status.episodes.add(episode_return, length, metrics)
+            status.worked_s = max(status.worked_s, wall_s)
+        self._directory.keep_updates(status.rows)
+
+
+def obs_offset(state: dict[str, Any]) -> Array | None:
+    """That of the environment when a checkpoint was saved; the policy was trained with it."""
+    offset = state["obs_offset"]
+    return None if offset is None else np.array(offset, dtype=np.float32)

@@ -1,0 +1,155 @@
+"""The command lines of ``a2s learner`` and ``a2s train``."""
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from a2s.commands import options
+from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import DEFAULT_ENDPOINT
+
+if TYPE_CHECKING:
+    from a2s.learner.run.config import Configuration
+
+
+def learner(
+    context: typer.Context,
+    env: options.Env = None,
+    total_steps: options.TotalSteps = None,
+    seed: options.Seed = None,
+    run: options.Run = None,
+    run_dir: options.RunDir = None,
+    resume: options.Resume = False,
+    config: options.Config = None,
+    env_kwargs: options.EnvKwargs = None,
+    wrappers: options.Wrapper = None,
+    action_repeat: options.ActionRepeat = None,
+    frame_stack: options.FrameStack = None,
+    max_episode_steps: options.MaxEpisodeSteps = None,
+    env_timeout_s: options.EnvTimeout = None,
+    info_metrics: options.InfoMetric = None,
+    variant: options.Variant = None,
+    algo: options.Algo = None,
+    preset: options.Preset = None,
+    suggestions: options.Suggestions = None,
+    recovery: options.Recovery = None,
+    settings: options.Set = None,
+    lockstep: options.Lockstep = None,
+    print_config: options.PrintConfig = False,
+    n: options.N = None,
+    envs: options.Envs = None,
+    threads: options.Threads = None,
+    device: options.Device = None,
+    keep_policy_every_updates: options.KeepPolicyEvery = None,
+    listen: options.Listen = None,
+    metrics_port: options.MetricsPort = None,
+    metrics_host: options.MetricsHost = options.LOOPBACK,
+    replay_from: options.ReplayFrom = None,
+    connect: options.Connect = DEFAULT_ENDPOINT,
+    json_: options.Json = False,
+) -> None:
+    """Start the learner of a run; actors join it."""
+    given = options.named(context, options.OF_RUN)
+    if replay_from:
+        given["variant"] = variant or "off-policy"
+    configuration, path = _configure(context, given, config, run_dir)
+    from a2s.commands.learner import Place, learn, learn_from
+
+    place = Place(
+        path=path,
+        resume=resume,
+        metrics_host=metrics_host,
+        metrics_port=metrics_port,
+        as_json=json_,
+    )
+    if replay_from is None:
+        code = learn(configuration, place, listen)
+    else:
+        code = learn_from(configuration, place, replay_from, env=env, connect=connect)
+    raise typer.Exit(code)
+
+
+def train(
+    context: typer.Context,
+    env: options.Env = None,
+    total_steps: options.TotalSteps = None,
+    seed: options.Seed = None,
+    run: options.Run = None,
+    run_dir: options.RunDir = None,
+    resume: options.Resume = False,
+    config: options.Config = None,
+    env_kwargs: options.EnvKwargs = None,
+    wrappers: options.Wrapper = None,
+    action_repeat: options.ActionRepeat = None,
+    frame_stack: options.FrameStack = None,
+    max_episode_steps: options.MaxEpisodeSteps = None,
+    env_timeout_s: options.EnvTimeout = None,
+    info_metrics: options.InfoMetric = None,
+    variant: options.Variant = None,
+    algo: options.Algo = None,
+    preset: options.Preset = None,
+    suggestions: options.Suggestions = None,
+    recovery: options.Recovery = None,
+    settings: options.Set = None,
+    lockstep: options.Lockstep = None,
+    print_config: options.PrintConfig = False,
+    n: options.N = None,
+    envs: options.Envs = None,
+    threads: options.Threads = None,
+    device: options.Device = None,
+    keep_policy_every_updates: options.KeepPolicyEvery = None,
+    listen: options.Listen = None,
+    metrics_port: options.MetricsPort = None,
+    episodes: options.Episodes = 10,
+    mode: options.Mode = "mean",
+    weights: options.WhichWeights = "latest",
+    json_: options.Json = False,
+) -> None:
+    """Train on this machine: a learner and its actors, then an evaluation and a curve."""
+    given = options.named(context, options.OF_RUN)
+    configuration, path = _configure(context, given, config, run_dir, defaults={"n": 2})
+    from a2s.commands.train import train as train_here
+
+    how = {"episodes": episodes, "mode": mode, "weights": weights, "seed": configuration.run.seed}
+    raise typer.Exit(
+        train_here(
+            configuration,
+            path,
+            listen=listen,
+            metrics_port=metrics_port,
+            resume=resume,
+            as_json=json_,
+            evaluation=how,
+        )
+    )
+
+
+def require_learner() -> None:
+    """Refuse a command of the learner where only the actor is installed."""
+    needed = ("torch", "onnx", "safetensors", "matplotlib")
+    missing = [module for module in needed if importlib.util.find_spec(module) is None]
+    if missing:
+        raise UsageError(
+            f"this command needs {', '.join(missing)}; install them: pip install 'a2s[learner]'"
+        )
+
+
+def _configure(
+    context: typer.Context,
+    given: dict[str, Any],
+    config: Path | None,
+    run_dir: Path | None,
+    **more: Any,
+) -> tuple["Configuration", Path]:
+    """Make the configuration of a run, and choose its directory; ``--print-config`` ends here."""
+    require_learner()
+    from a2s.commands.configure import configure
+
+    settings, resume = context.params["settings"], context.params["resume"]
+    configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
+    if context.params["print_config"]:
+        typer.echo(configuration.explain())
+        raise typer.Exit
+    return configuration, path

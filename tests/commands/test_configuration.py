@@ -1,0 +1,129 @@
+"""Where the configuration of a run comes from: options, variables, files and defaults."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from a2s import cli
+
+
+def _print_config(*arguments: str) -> str:
+    result = CliRunner().invoke(cli.app, ["learner", "--print-config", *arguments])
+    assert result.exit_code == 0, result.output
+    return str(result.output)
+
+
+def test_an_option_beats_a_variable_beats_a_file_beats_the_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "mine.toml"
+    assert "\nseed = 0\n" in _print_config()
+    file.write_text("[run]\nseed = 7\n[hyper]\ngamma = 0.5\n")
+    said = _print_config("--config", str(file))
+    assert "\nseed = 7\n" in said
+    assert "\ngamma = 0.5  # set by you" in said
+    monkeypatch.setenv("A2S_SEED", "8")
+    assert "\nseed = 8\n" in _print_config("--config", str(file))
+    assert "\nseed = 9\n" in _print_config("--config", str(file), "--seed", "9")
+
+
+@pytest.mark.parametrize("million", ["1e6", "1E6", "1E+6", "1000000.0", "1_000_000", "10.0e5"])
+def test_a_million_may_be_written_in_any_way(
+    million: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = _print_config("--total-steps", million, "--set", f"batch_steps={million}")
+    assert "\ntotal_steps = 1000000\n" in said
+    assert "\nbatch_steps = 1000000  # set by you" in said
+    file = tmp_path / "mine.toml"
+    file.write_text(f"[run]\ntotal_steps = {million}\n[hyper]\nbatch_steps = {million}\n")
+    assert _print_config("--config", str(file)) == said
+    monkeypatch.setenv("A2S_TOTAL_STEPS", million)
+    assert "\ntotal_steps = 1000000\n" in _print_config()
+
+
+def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
+    assert "\nsuggestions = 3  # set by you" in _print_config("--suggestions", "3")
+    off = _print_config("--suggestions", "3", "--variant", "off-policy")
+    assert "\nact_suggestions = 3  # set by you" in off
+
+
+@pytest.mark.parametrize(
+    ("arguments", "rule"),
+    [
+        ([], "invariant"),
+        (["--no-recovery"], "off"),
+        (["--algo", "a2c"], "off"),
+        (["--algo", "a2c", "--recovery"], "invariant"),
+        (["--algo", "a2c", "--preset", "authors", "--recovery"], "authors"),
+    ],
+)
+def test_recovery_is_the_rule_of_the_preset_or_off(arguments: list[str], rule: str) -> None:
+    assert f'\nrecovery = "{rule}"' in _print_config(*arguments)
+
+
+def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:
+    file = tmp_path / "printed.toml"
+    file.write_text(_print_config("--preset", "authors", "--set", "suggestions=3"))
+    again = _print_config("--config", str(file))
+    assert 'preset = "authors"' in again
+    assert "\nsuggestions = 3  # set by you" in again
+    assert again == file.read_text()
+
+
+@pytest.mark.parametrize("other", [("--variant", "on-policy"), ("--preset", "sac")], ids=" ".join)
+def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
+    other: tuple[str, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "printed.toml"
+    file.write_text(_print_config("--variant", "off-policy", "--set", "tau=0.5"))
+    assert "\ntau = 0.5  # set by you" in _print_config("--config", str(file))
+    said = _print_config("--config", str(file), *other)
+    assert f'\n{other[0].lstrip("-")} = "{other[1]}"' in said
+    assert "set by you" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[run]\nsed = 1\n", "did you mean 'seed'?"),
+        ("[runs]\n", "did you mean 'run'?"),
+        ("run = 3\n", "bad.toml: run: found 3, expected a table [run]"),
+        ("hyper = [1]\n", "bad.toml: hyper: found [1], expected a table [hyper]"),
+        ("[[run]]\nseed = 1\n", "bad.toml: run: found [{'seed': 1}], expected a table [run]"),
+        (
+            "[hyper]\nlearn_rate = 1\n",
+            "bad.toml: unknown hyperparameter 'learn_rate' in [hyper] (did you mean 'learning_r",
+        ),
+        (
+            "[run]\nvariant = 'off-policy'\n[hyper]\ntaus = 1\n",
+            "bad.toml: unknown hyperparameter 'taus' in [hyper] (did you mean 'tau'?)",
+        ),
+        ("[run]\nn_envs = 4\n", "bad.toml: unknown option 'n_envs' in [run] (here it is 'envs')"),
+        ("[hyper]\nn_steps = 4\n", "'n_steps' in [hyper] (here it is 'batch_steps')"),
+        (
+            "[run]\nvariant = 'off-policy'\n[hyper]\nn_steps = 4\n",
+            "'n_steps' in [hyper] (here it is 'n_step')",
+        ),
+        ("[run]\nseed = 'x'\n", "seed: found 'x', expected a whole number"),
+        ("[run]\nseed = true\n", "seed: found True, expected a whole number"),
+        ("[run]\nseed = 0.5\n", "seed: found 0.5, expected a whole number"),
+        ("[run]\nseed = inf\n", "seed: found inf, expected a whole number"),
+        ("[run]\nenvs = 1e4\n", "envs: found 10000, expected a whole number from 1 to 4096"),
+        ("[run]\nenv = 3.0\n", "env: found 3.0, expected text"),
+        ("[hyper]\nbatch_steps = 1.5\n", "batch_steps: found 1.5, expected a whole number"),
+        (f"[run]\nseed = {2**63}\n", f"expected a whole number from 0 to {2**63 - 1}"),
+        ("[run\n", "not TOML"),
+        ("[run]\nvariant = 'of-policy'\n[hyper]\ntau = 1\n", "variant: found 'of-policy'"),
+        ("[run]\nvariant = [1]\n", "variant: found [1]"),
+        ("[run]\nclock = 'sync'\n", "clock: found 'sync'"),
+    ],
+)
+def test_a_file_with_a_mistake_gets_one_line(
+    text: str, said: str, tmp_path: Path, a2s: Callable[..., tuple[int, str, str]]
+) -> None:
+    (tmp_path / "bad.toml").write_text(text)
+    code, _, error = a2s("learner", "--config", "bad.toml")
+    assert (code, error.count("\n")) == (2, 1)
+    assert said in error
