@@ -148,7 +148,6 @@ def test_off_policy_graph_agrees_for_every_form_of_network(
     "options",
     [
         {"norm_obs": False},
-        {"quiet_rare_obs": False},
         {"norm_return": False},
         {"num_quantiles": 7, "quantiles_to_drop": 1},
         {"precision": "bf16"},
