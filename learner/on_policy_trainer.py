@@ -8,7 +8,9 @@ import torch
 
 from a2s.learner.export.on_policy import export
 from a2s.learner.ingest.batching import to_batch
+from a2s.learner.on_policy.authors import Authors
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
 from a2s.learner.run.metrics import LearnerMetrics
@@ -46,15 +48,19 @@ class OnPolicyLearning:
     def __init__(
         self,
         spaces: Spaces,
-        hyper: OnPolicyConfig,
+        hyper: AnyOnPolicyConfig,
         seed: int,
         metrics: LearnerMetrics,
         saved: Saved | None,
     ) -> None:
-        self._hyper = hyper
         self._metrics = metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
-        self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        sizes = spaces.obs_size, spaces.action_size
+        self._algorithm: OnPolicy | Authors = (
+            OnPolicy(*sizes, hyper, seed)
+            if isinstance(hyper, OnPolicyConfig)
+            else Authors(*sizes, hyper, seed)
+        )
         if saved is not None:
             self._algorithm.load(*saved)
         self.max_policy_lag: int | None = hyper.max_policy_lag
@@ -67,10 +73,9 @@ class OnPolicyLearning:
 
     def quota(self, num_envs: int) -> Quota:
         """An equal share of the next batch for each environment."""
-        hyper = self._hyper
-        steps = hyper.batch_steps_at(self._algorithm.updates)
-        episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
-        return Quota(steps, max(1, math.ceil(steps / num_envs)), episodes)
+        steps, episodes = self._algorithm.next_batch
+        each = max(1, math.ceil(steps / num_envs)), math.ceil(episodes / num_envs)
+        return Quota(steps, *each)
 
     def graph(
         self, version: int, progress: float, metadata: Mapping[str, str], *, to_keep: bool = False

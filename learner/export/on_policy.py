@@ -18,8 +18,7 @@ import numpy as np
 from a2s.learner.export.graph import Nodes, Numbers, common_numbers, constant, fill, own_metadata
 from a2s.learner.networks.body import Body
 from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
-from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.on_policy.suggestion import SPREAD_EPS
+from a2s.learner.on_policy.acting import SPREAD_EPS, Suggester
 
 
 class _Form(NamedTuple):

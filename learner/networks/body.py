@@ -14,7 +14,8 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 
 from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
-from a2s.learner.on_policy.config import Init, OnPolicyConfig
+from a2s.learner.on_policy.config import Init
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 
 _aten = torch.ops.aten
 
@@ -47,7 +48,7 @@ class Body(nn.Module):
         self,
         sizes: Sequence[int],
         *,
-        hyper: OnPolicyConfig,
+        hyper: AnyOnPolicyConfig,
         output_gain: float,
         generator: torch.Generator,
     ) -> None:

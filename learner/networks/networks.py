@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from a2s.learner.networks.body import Body, Layer
-from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 
 OBS_LIMIT = 10.0
 # What of an observation may be rounding (docs/adr/0017): two steps of float32 of its mean, and what
@@ -99,7 +99,7 @@ class Policy(nn.Module):
     log_std: Tensor
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+        self, obs_size: int, action_size: int, hyper: AnyOnPolicyConfig, generator: torch.Generator
     ) -> None:
         super().__init__()
         sizes = (obs_size, *hyper.policy_sizes, action_size)
@@ -147,7 +147,7 @@ class Policy(nn.Module):
 class Value(nn.Module):
     """V: what is to be expected from an observation on."""
 
-    def __init__(self, obs_size: int, hyper: OnPolicyConfig, generator: torch.Generator) -> None:
+    def __init__(self, obs_size: int, hyper: AnyOnPolicyConfig, generator: torch.Generator) -> None:
         super().__init__()
         sizes = (obs_size, *hyper.value_sizes, 1)
         self.body = Body(sizes, hyper=hyper, output_gain=1.0, generator=generator)
@@ -162,7 +162,7 @@ class Q(nn.Module):
     """Q: what is to be expected from an observation and an action on."""
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+        self, obs_size: int, action_size: int, hyper: AnyOnPolicyConfig, generator: torch.Generator
     ) -> None:
         super().__init__()
         sizes = (obs_size + action_size, *hyper.q_sizes, 1)

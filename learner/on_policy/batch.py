@@ -1,9 +1,17 @@
-"""What one update consumes."""
+"""What one update learns from."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+
+class BatchSize(NamedTuple):
+    """What a batch holds at least: steps, and whole episodes; 0 episodes: they may be cut."""
+
+    steps: int
+    episodes: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

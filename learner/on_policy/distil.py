@@ -1,21 +1,27 @@
 """Equation 6: move the policy's mean to what Q picks among fresh suggestions.
 
-Source: equation 6 of the paper; with ``top = 1`` the target is the authors' best of K. It is one
-step of a cross-entropy method, so it has a bound of its own on the KL divergence.
+It is one step of a cross-entropy method, so it has a bound of its own on the KL divergence.
 """
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.networks import Policy, Q
-from a2s.learner.on_policy.config import ActionMode
-from a2s.learner.on_policy.step_size import gaussian_kl
-from a2s.learner.on_policy.suggestion import as_q_sees, suggest
+from a2s.learner.on_policy.acting import ActionMode, as_q_sees, suggest, take
+from a2s.learner.on_policy.policy import gaussian_kl
 
 ROWS_PER_CALL = 1024
+
+
+class Distilled(NamedTuple):
+    """Mean loss of equation 6, and its gradient steps."""
+
+    loss: float = 0.0
+    steps: int = 0
 
 
 def score_in_parts(q_net: Q, obs: Tensor, action: Tensor) -> Tensor:
@@ -31,36 +37,30 @@ def score_in_parts(q_net: Q, obs: Tensor, action: Tensor) -> Tensor:
 @torch.no_grad()
 def distil_target(
     q_net: Q,
-    obs: Tensor,
-    mean: Tensor,
-    std: Tensor,
+    policy: Policy,
+    norm_obs: Tensor,
     *,
     suggestions: int,
-    top: int,
     action_mode: ActionMode,
     generator: torch.Generator,
 ) -> Tensor:
-    """Average the best ``top`` of K fresh suggestions for every observation.
-
-    Regressing to each of the best has the same gradient as regressing to their average.
+    """Pick the best of K fresh suggestions for every observation.
 
     Args:
         q_net: Already updated.
-        obs: Normalised, ``[N, D]``.
-        mean: Of the policy, ``[N, A]``.
-        std: Of the policy, ``[A]``.
+        policy: Suggests.
+        norm_obs: Normalised observations, ``[N, D]``.
         suggestions: K.
-        top: 1..K.
         action_mode: What Q sees, and what the mean moves to.
         generator: Draws the suggestions.
 
     Returns:
         mu^Q of equation 6, ``[N, A]``.
     """
-    normal = torch.randn(len(obs), suggestions, mean.shape[1], generator=generator)
-    candidates = as_q_sees(suggest(mean, std, normal), action_mode)
-    best = score_in_parts(q_net, obs, candidates).topk(top, dim=1).indices
-    return candidates.gather(1, best.unsqueeze(2).expand(-1, -1, mean.shape[1])).mean(1)
+    mean = policy(norm_obs)
+    normal = torch.randn(len(mean), suggestions, mean.shape[1], generator=generator)
+    candidates = as_q_sees(suggest(mean, policy.std(), normal), action_mode)
+    return take(candidates, score_in_parts(q_net, norm_obs, candidates).argmax(1))
 
 
 @torch.no_grad()
@@ -81,7 +81,7 @@ def distil_loss(mean: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
 def distil_policy(
     policy: Policy,
     optimiser: Adam,
-    obs: Tensor,
+    norm_obs: Tensor,
     target: Tensor,
     *,
     steps: int,
@@ -90,13 +90,13 @@ def distil_policy(
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
-) -> tuple[float, int]:
+) -> Distilled:
     """Regress the mean in minibatch steps of its own, until a minibatch has moved too far.
 
     Args:
         policy: Changed in place.
         optimiser: Of equation 6 alone.
-        obs: Normalised, ``[N, D]``.
+        norm_obs: Normalised observations, ``[N, D]``.
         target: From `distil_target`, ``[N, A]``.
         steps: At most.
         minibatch: Rows of one step, drawn with replacement.
@@ -104,23 +104,20 @@ def distil_policy(
         learning_rate: Of Adam.
         max_grad_norm: 0: not limited.
         generator: Draws the rows.
-
-    Returns:
-        Mean loss, and steps made.
     """
     log_std = policy.log_std.detach().clone()
     with torch.no_grad():
-        before = policy(obs)
+        before = policy(norm_obs)
     total, made = 0.0, 0
     for _ in range(steps):
-        rows = torch.randint(len(obs), (minibatch,), generator=generator)
-        mean, layers = policy.trace(obs[rows])
+        rows = torch.randint(len(norm_obs), (minibatch,), generator=generator)
+        mean, layers = policy.trace(norm_obs[rows])
         moved = gaussian_kl(mean, log_std, before[rows], log_std).sum(1).mean()
         if float(moved) > kl_bound:
             break
-        loss, by_mean = distil_loss(mean, target[rows])
-        policy.differentiate(layers, by_mean, torch.zeros_like(log_std))
+        loss, grad_mean = distil_loss(mean, target[rows])
+        policy.differentiate(layers, grad_mean, torch.zeros_like(log_std))
         optimiser.step(learning_rate, max_grad_norm)
         total += loss.item()
         made += 1
-    return total / max(made, 1), made
+    return Distilled(total / max(made, 1), made)

@@ -1,7 +1,8 @@
-"""When to go back to the best networks so far.
+"""Equation 5: when to go back to the best networks so far.
 
-Source: equation 5 of the paper, ``alpha + 1 - gap < U``, hence P(recover) = clip(gap - alpha, 0, 1)
-for a uniform U: a larger alpha recovers more rarely.
+``alpha + 1 - gap < U``, hence P(recover) = clip(gap - alpha, 0, 1) for a uniform U: a larger alpha
+recovers more rarely. A new rule is a new gap: a function here, a name in `RecoveryRule`, and a line
+in `Recovery._probability`. `state.py` keeps and restores the networks.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ class RecoveryDecision:
         draw: The uniform number of the test, 0..1.
         probability: Chance of recovery at these returns.
         r: Return statistic now; ``None`` while there are too few episodes.
-        r_best: The best one before, r*; ``None`` when there is none.
+        r_best: The best one before, r*; ``None`` before the first.
     """
 
     recover: bool
@@ -62,7 +63,7 @@ class Recovery:
         rule: ``off``, ``authors`` (equation 5 as printed) or ``invariant``.
         bias: Alpha.
         statistic: ``mean`` or ``max`` of episode returns.
-        episodes: Of the last so many, and undecided before there are so many; 0: of each batch.
+        episodes: How many of the last ones; undecided while there are fewer. 0: those of the batch.
         offset: Added to every return in the test.
         cool_down: Updates after a recovery in which there is no other.
     """
@@ -77,7 +78,7 @@ class Recovery:
         offset: float = 0.0,
         cool_down: int = 0,
     ) -> None:
-        self._rule = rule
+        self.rule = rule
         self._bias = bias
         self._statistic = statistic
         self._episodes = episodes
@@ -91,12 +92,11 @@ class Recovery:
     def judge(self, episode_returns: Sequence[float], draw: float) -> RecoveryDecision:
         """Take the returns of a batch into account and test equation 5.
 
+        After a recovery the returns of the failed networks are forgotten.
+
         Args:
             episode_returns: Undiscounted returns of the episodes that ended in the batch.
             draw: Uniform, 0 to below 1.
-
-        Returns:
-            The decision. After ``recover`` the returns of the failed networks are forgotten.
         """
         r, best = self._observe(episode_returns), self._best
         improved = r is not None and (best is None or r > best)
@@ -124,9 +124,9 @@ class Recovery:
         return max(shifted) if self._statistic == "max" else sum(shifted) / len(shifted)
 
     def _probability(self, r: float | None, best: float | None) -> float:
-        if self._rule == "off" or self._waiting or r is None or best is None or r >= best:
+        if self.rule == "off" or self._waiting or r is None or best is None or r >= best:
             return 0.0
-        if self._rule == "authors":
+        if self.rule == "authors":
             gap = gap_as_printed(r, best)
         else:
             gap = gap_invariant(r, best, best if self._first is None else self._first)
@@ -137,7 +137,7 @@ class Recovery:
         if r is None:
             return
         self._first = r if self._first is None else self._first
-        if self._best is None or improved:
+        if improved:
             self._best = r
         if recover:
             self._returns, self._waiting = [], self._cool_down

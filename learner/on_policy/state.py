@@ -1,21 +1,29 @@
-"""Everything that learning changes and recovery can restore."""
+"""Everything that learning changes: what a checkpoint holds, and what a recovery restores."""
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.networks import Normaliser, Policy, Q, Value
-from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.critics import Regression
+from a2s.learner.on_policy.learning_rate import LearningRate
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
+from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
 from a2s.learner.on_policy.returns import ReturnScale
-from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.errors import A2SError
+
+_GENERATORS = ("networks", "order", "q", "recovery")
+_BEST = "best."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Copies of what was learned, as ``Learned.capture`` made them.
+    """Copies of what a recovery restores, as ``TrainState.capture`` made them.
 
     Attributes:
         tensors: Parameters, moments and statistics of observations, by name.
@@ -28,8 +36,16 @@ class Snapshot:
     weights_version: int
 
 
-class Learned:
-    """Networks, their optimisers and their normalisers.
+class TrainState:
+    """Networks, their optimisers, normalisers, learning rate, recovery and random generators.
+
+    Args:
+        obs_size: D.
+        action_size: A.
+        config: Gives sizes and normalisers.
+        learning_rate: Of the policy.
+        recovery: Equation 5.
+        seed: Of the first weights and of every random choice.
 
     Attributes:
         normaliser: Of the observations.
@@ -38,36 +54,101 @@ class Learned:
         value_net: V.
         q_net: Q.
         adam: One optimiser for ``policy``, ``value`` and ``q``, and ``distil`` (of the policy).
+        generators: ``networks`` for first weights, ``order`` for minibatches, ``q`` for what only Q
+            needs (so that A2C draws the same), ``recovery`` for equation 5.
+        best: The networks that reached r*.
+        updates: Batches learned from.
     """
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+        self,
+        obs_size: int,
+        action_size: int,
+        config: AnyOnPolicyConfig,
+        learning_rate: LearningRate,
+        recovery: Recovery,
+        seed: int,
     ) -> None:
-        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs)
+        root = torch.Generator().manual_seed(seed)
+        seeds = torch.randint(2**62, (len(_GENERATORS),), generator=root).tolist()
+        self.generators = {
+            name: torch.Generator().manual_seed(each)
+            for name, each in zip(_GENERATORS, seeds, strict=True)
+        }
+        first = self.generators["networks"]
+        self.normaliser = Normaliser(obs_size, enabled=config.norm_obs)
         self.returns = ReturnScale(
-            enabled=hyper.norm_return, window_steps=hyper.return_window_steps
+            enabled=config.norm_return, window_steps=config.return_window_steps
         )
-        self.policy = Policy(obs_size, action_size, hyper, generator)
-        self.value_net = Value(obs_size, hyper, generator)
-        self.q_net = Q(obs_size, action_size, hyper, generator)
+        self.policy = Policy(obs_size, action_size, config, first)
+        self.value_net = Value(obs_size, config, first)
+        self.q_net = Q(obs_size, action_size, config, first)
         self._flat = {
             "policy": FlatParameters(self.policy),
             "value": FlatParameters(self.value_net),
             "q": FlatParameters(self.q_net),
         }
-        self.adam = {
-            "policy": Adam(self._flat["policy"]),
-            "value": Adam(self._flat["value"]),
-            "q": Adam(self._flat["q"]),
-            "distil": Adam(self._flat["policy"]),
-        }
+        self.adam = {name: Adam(flat) for name, flat in self._flat.items()}
+        self.adam["distil"] = Adam(self._flat["policy"])
+        self.learning_rate = learning_rate
+        self.recovery = recovery
+        self.best: Snapshot | None = None
+        self._before: Snapshot | None = None
+        self.updates = 0
 
-    def is_finite(self) -> bool:
-        """Whether every parameter is a number."""
-        return all(bool(torch.isfinite(flat.value).all()) for flat in self._flat.values())
+    def regression_of_value(self, norm_obs: Tensor) -> Regression:
+        """V, to be fitted on normalised observations ``[N, D]``."""
+        return Regression(body=self.value_net.body, inputs=norm_obs, optimiser=self.adam["value"])
+
+    def regression_of_q(self, norm_obs: Tensor, action: Tensor) -> Regression:
+        """Q, to be fitted on normalised observations ``[N, D]`` and actions ``[N, A]``."""
+        inputs = torch.cat([norm_obs, action], 1)
+        return Regression(body=self.q_net.body, inputs=inputs, optimiser=self.adam["q"])
+
+    def require_finite(self) -> None:
+        """Check the parameters after an update.
+
+        Raises:
+            A2SError: One is not a finite number.
+        """
+        if not all(bool(torch.isfinite(flat.value).all()) for flat in self._flat.values()):
+            raise A2SError(f"update {self.updates}: found non-finite weights, expected finite")
+
+    def judge(self, batch: Batch, *, is_behind: bool) -> RecoveryDecision | None:
+        """Test equation 5, and keep the networks that made the batch when they are the best.
+
+        Args:
+            batch: Gives the episode returns.
+            is_behind: The networks before the last update made it, not the present ones.
+
+        Returns:
+            ``None`` where recovery is off.
+        """
+        if self.recovery.rule == "off":
+            return None
+        draw = float(torch.rand((), generator=self.generators["recovery"]))
+        decision = self.recovery.judge(batch.episode_returns.tolist(), draw)
+        present = self.capture(0)
+        if decision.improved:
+            made_it = self._before if is_behind and self._before is not None else present
+            version = int(batch.weights_version.max())
+            self.best = dataclasses.replace(made_it, weights_version=version)
+        self._before = present
+        return decision
+
+    def recover(self, *, networks_only: bool = False) -> None:
+        """Go back to the best networks.
+
+        Args:
+            networks_only: Keep optimisers and statistics of observations. The scale of returns
+                always goes with the networks: it is the unit in which they speak.
+        """
+        assert self.best is not None, "there is an r* but no networks that reached it"
+        self._restore(self.best, networks_only=networks_only)
+        self.learning_rate.after_recovery()
 
     def capture(self, weights_version: int) -> Snapshot:
-        """Copy everything."""
+        """Copy what a recovery restores."""
         tensors = {name: flat.value.clone() for name, flat in self._flat.items()}
         for name, buffer in self.normaliser.named_buffers():
             tensors[f"normaliser.{name}"] = buffer.clone()
@@ -77,35 +158,71 @@ class Learned:
             tensors=tensors, returns=self.returns.state(), weights_version=weights_version
         )
 
-    def restore(self, snapshot: Snapshot, *, everything: bool) -> None:
-        """Go back to a snapshot.
-
-        Args:
-            snapshot: From `capture`.
-            everything: Also optimisers and the statistics of observations. The scale of returns
-                always goes with the networks: it is the unit in which they speak.
-
-        Raises:
-            RunDirectoryError: A tensor is missing or has another shape.
-        """
+    def _restore(self, snapshot: Snapshot, *, networks_only: bool = False) -> None:
         stored = snapshot.tensors
-        check_tensors(stored, self.capture(0).tensors)
         for name, flat in self._flat.items():
             flat.load(stored[name])
         self.returns.load(snapshot.returns)
-        if not everything:
+        if networks_only:
             return
         for name, buffer in self.normaliser.named_buffers():
             buffer.copy_(stored[f"normaliser.{name}"])
         for name, adam in self.adam.items():
             adam.load({key: stored[f"adam.{name}.{key}"] for key in adam.state()})
 
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Everything that `load` needs to go on to the bit.
+
+        Returns:
+            Tensors by name, and numbers that survive JSON.
+        """
+        present = self.capture(0)
+        tensors = dict(present.tensors)
+        for name, generator in self.generators.items():
+            tensors[f"generator.{name}"] = generator.get_state()
+        best = None
+        if self.best is not None:
+            tensors |= {_BEST + name: tensor for name, tensor in self.best.tensors.items()}
+            best = {"returns": self.best.returns, "weights_version": self.best.weights_version}
+        scalars = {
+            "returns": present.returns,
+            "best": best,
+            "step_size": self.learning_rate.state(),
+            "recovery": self.recovery.state(),
+            "updates": self.updates,
+        }
+        return tensors, scalars
+
+    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
+        """Go back to a state of an object made with the same sizes and hyperparameters.
+
+        Raises:
+            A2SError: A tensor is missing or has another shape.
+        """
+        expected, _ = self.state()
+        check_tensors(tensors, {k: v for k, v in expected.items() if not k.startswith(_BEST)})
+        self.best = None
+        if scalars["best"] is not None:
+            stored = {
+                name.removeprefix(_BEST): tensor.clone()
+                for name, tensor in tensors.items()
+                if name.startswith(_BEST)
+            }
+            check_tensors(stored, self.capture(0).tensors)
+            self.best = Snapshot(tensors=stored, **scalars["best"])
+        self._restore(Snapshot(tensors=tensors, returns=scalars["returns"], weights_version=0))
+        for name, generator in self.generators.items():
+            generator.set_state(tensors[f"generator.{name}"])
+        self.learning_rate.load(scalars["step_size"])
+        self.recovery.load(scalars["recovery"])
+        self.updates = scalars["updates"]
+
 
 def check_tensors(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
     """Refuse stored tensors that do not fit.
 
     Raises:
-        RunDirectoryError: One is missing or has another shape.
+        A2SError: One is missing or has another shape.
     """
     for name, tensor in expected.items():
         if name not in found:
@@ -115,7 +232,7 @@ def check_tensors(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -
             wrong = f"{name}: {shapes}"
         else:
             continue
-        raise RunDirectoryError(
+        raise A2SError(
             f"learner state: {wrong}; it is of other hyperparameters or of another version of a2s: "
             "begin a new run"
         )

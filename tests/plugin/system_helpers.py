@@ -20,7 +20,6 @@ OFTEN = (
     "--set", "lr_rule=constant", "--set", "critic_epochs=1", "--set", "policy_epochs=1",
     "--set", "recovery=invariant", "--set", "recovery_bias=0", "--set", "recovery_episodes=0",
     "--set", "recovery_statistic=mean", "--set", "recovery_cool_down=0",
-    "--set", "recovery_offset=0",
 )  # fmt: skip
 REACH = ("--env", "a2s_test_envs:Reach-v0")
 PATIENCE_S = 200.0  # for whole runs, on a busy machine too: only a failure takes so long

@@ -12,17 +12,19 @@ import torch
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.on_policy import export
 from a2s.learner.networks.networks import Normaliser, Policy, Q
-from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.run.config import on_policy
+from a2s.learner.on_policy.acting import ActionMode, Suggester
+from a2s.learner.on_policy.config import OnPolicyConfig
 
 torch.set_num_threads(1)
 
 LOW, HIGH = torch.tensor([-0.4, -3.0, 0.5]), torch.tensor([0.4, 1.0, 2.5])
 
 
-def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
+def make(
+    mode: str, suggestions: int = 5, action_mode: ActionMode = "clip", **options: Any
+) -> Suggester:
     """A suggester whose every number differs from its first value."""
-    hyper = on_policy("modern", "a2s", {"q_sizes": "9,6", "policy_sizes": "8,7", **options})
+    hyper = OnPolicyConfig(**{"q_sizes": (9, 6), "policy_sizes": (8, 7), **options})
     generator = torch.Generator().manual_seed(3)
     policy, q_net = Policy(4, 3, hyper, generator), Q(4, 3, hyper, generator)
     with torch.no_grad():
@@ -40,7 +42,7 @@ def make(mode: str, suggestions: int = 5, **options: Any) -> Suggester:
         mode=mode,  # type: ignore[arg-type]
         suggestions=1 if first else suggestions,
         temperature=hyper.selection_temperature,
-        action_mode=hyper.action_mode,
+        action_mode=action_mode,
         q_scale=7.0,
     )
 
@@ -88,12 +90,11 @@ def test_graph_agrees_for_every_form_of_network(mode: str, layer_norm: bool) -> 
     "options",
     [
         {"norm_obs": False},
-        {"learn_std": False, "std": 0.7},
+        {"std": 0.7},
         {"action_mode": "raw"},
         {"selection_temperature": 0.25},
-        {"policy_sizes": "12", "q_sizes": "6"},
-        {"policy_sizes": "12,5,4", "q_sizes": "6,5,4"},
-        {"init": "uniform"},
+        {"policy_sizes": (12,), "q_sizes": (6,)},
+        {"policy_sizes": (12, 5, 4), "q_sizes": (6, 5, 4)},
     ],
     ids=str,
 )
@@ -228,7 +229,7 @@ def test_later_export_has_the_later_weights() -> None:
 
 def test_export_takes_less_than_five_milliseconds() -> None:
     """It happens at every version."""
-    suggester = make("soft", q_sizes="128,64", policy_sizes="64,64")
+    suggester = make("soft", q_sizes=(128, 64), policy_sizes=(64, 64))
     times = []
     for version in range(20):
         start_s = time.perf_counter()

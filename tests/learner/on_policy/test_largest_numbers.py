@@ -8,6 +8,7 @@ import pytest
 
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.off_policy_trainer import OffPolicyLearning
+from a2s.learner.on_policy import authors
 from a2s.learner.on_policy_trainer import OnPolicyLearning
 from a2s.learner.run.config import off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
@@ -54,16 +55,11 @@ def play(learning: Learning, size: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize("names", [("suggestion",), ("log_prob",), tuple(LARGEST)], ids=",".join)
-@pytest.mark.parametrize(
-    ("preset", "options"),
-    [
-        ("modern", {}),
-        ("authors", {"q_fit_extra_steps": 0, "value_fit_extra_steps": 0}),
-        ("paper", {"q_fit_extra_steps": 0, "value_fit_extra_steps": 0}),
-    ],
-)
-def test_on_policy(preset: str, options: dict[str, Any], names: tuple[str, ...]) -> None:
-    hyper = on_policy(preset, "a2s", options)
+@pytest.mark.parametrize("preset", ["modern", "authors", "paper"])
+def test_on_policy(preset: str, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    for steps in ("Q_EXTRA_STEPS", "VALUE_EXTRA_STEPS"):
+        monkeypatch.setattr(authors, steps, 0)
+    hyper = on_policy(preset, "a2s", {})
     learning = OnPolicyLearning(SPACES, hyper, 0, LearnerMetrics(), None)
     play(learning, {name: LARGEST[name] for name in names})
 

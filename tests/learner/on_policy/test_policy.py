@@ -1,23 +1,27 @@
-"""Advantages and losses of the policy gradient."""
+"""Densities, weights, losses and passes of the policy gradient."""
+
+import dataclasses
 
 import pytest
 import torch
-from torch.distributions import Independent, Normal
+from torch.distributions import Independent, Normal, kl_divergence
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.networks import Policy
-from a2s.learner.on_policy.policy_gradient import (
+from a2s.learner.on_policy.acting import log_preference, select_soft, take
+from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.policy import (
+    PolicyChange,
     PolicyData,
+    clipped_loss,
     differentiate,
     entropy,
+    gaussian_kl,
     importance,
     improve,
     log_density,
     normalised,
-    policy_loss,
 )
-from a2s.learner.on_policy.suggestion import log_preference, select_soft, take
-from a2s.learner.run.config import on_policy
 
 
 def test_density_and_entropy_agree_with_the_textbook() -> None:
@@ -28,12 +32,12 @@ def test_density_and_entropy_agree_with_the_textbook() -> None:
     torch.testing.assert_close(entropy(log_std), textbook.entropy()[0])  # type: ignore[no-untyped-call]
 
 
-def test_score_loss_by_hand() -> None:
-    """Equation 4."""
-    log_prob, advantage = torch.tensor([-1.0, -3.0]), torch.tensor([2.0, -1.0])
-    loss, slope = policy_loss("score", log_prob, torch.zeros(2), advantage, torch.ones(2), 0.2)
-    assert float(loss) == -0.5  # -(-2 + 3) / 2
-    assert slope.tolist() == [-1.0, 0.5]
+def test_kl_agrees_with_the_textbook() -> None:
+    """Against torch's distributions, by dimension."""
+    mean, old_mean = torch.randn(2, 5, 3)
+    log_std, old_log_std = torch.randn(2, 3)
+    expected = kl_divergence(Normal(mean, log_std.exp()), Normal(old_mean, old_log_std.exp()))
+    torch.testing.assert_close(gaussian_kl(mean, log_std, old_mean, old_log_std), expected)
 
 
 @pytest.mark.parametrize(
@@ -51,8 +55,8 @@ def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: f
     log_prob = torch.tensor([ratio]).log()
     worth = torch.tensor([advantage])
     for weight in (1.0, 3.0):
-        found, steepness = policy_loss(
-            "clip", log_prob, torch.zeros(1), worth, torch.full((1,), weight), 0.2
+        found, steepness = clipped_loss(
+            log_prob, torch.zeros(1), worth, torch.full((1,), weight), 0.2
         )
         assert float(found) == pytest.approx(weight * loss)
         assert float(steepness) == pytest.approx(weight * slope)
@@ -104,7 +108,7 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
     drawn = log_prob.detach()
-    _, slope = policy_loss("clip", drawn, drawn, torch.ones(40_000), weight, 0.2)
+    _, slope = clipped_loss(drawn, drawn, torch.ones(40_000), weight, 0.2)
     (gradient,) = torch.autograd.grad(log_prob, mean, slope)
     if weighed:
         assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
@@ -112,27 +116,57 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
         assert float(-gradient.sum()) > 1.0
 
 
+def make_policy(std_floor: float = 0.15) -> Policy:
+    """Build a policy of four observed numbers and two actions."""
+    return Policy(4, 2, OnPolicyConfig(std_floor=std_floor), torch.Generator().manual_seed(0))
+
+
 def data_of(policy: Policy, rows: int = 400) -> PolicyData:
     """Suggestions that are the better the larger their first dimension is."""
     obs = torch.randn(rows, 4)
     with torch.no_grad():
         mean = policy(obs)
-    action = mean + policy.std().detach() * torch.randn(rows, 2)
+    log_std = policy.log_std.detach().clone()
+    action = mean + log_std.exp() * torch.randn(rows, 2)
     return PolicyData(
         obs=obs,
         action=action,
-        log_prob=log_density(mean, policy.log_std.detach(), action),
+        log_prob=log_density(mean, log_std, action),
         advantage=normalised(action[..., 0], torch.ones(rows)),
         weight=torch.ones(rows),
         mean=mean,
-        log_std=policy.log_std.detach().clone(),
+        log_std=log_std,
     )
 
 
-@pytest.mark.parametrize("loss", ["score", "clip"])
-def test_gradient_is_that_of_autograd(loss: str) -> None:
-    """Of both losses and the entropy, written out once more from their definitions."""
-    hyper = on_policy("modern", "a2s", {"policy_loss": loss, "entropy_weight": 0.1})
+def improved(
+    policy: Policy,
+    data: PolicyData,
+    learning_rate: float,
+    kl_stop: float = 0.05,
+    epochs: int = 10,
+    minibatch: int = 256,
+) -> PolicyChange:
+    """Improve with the rest as by default."""
+    return improve(
+        policy,
+        Adam(FlatParameters(policy)),
+        data,
+        epochs=epochs,
+        minibatch=minibatch,
+        min_minibatches=8,
+        kl_stop=kl_stop,
+        clip_ratio=0.2,
+        entropy_weight=0.0,
+        learning_rate=learning_rate,
+        max_grad_norm=0.5,
+        generator=torch.Generator().manual_seed(0),
+    )
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_gradient_is_that_of_autograd(moved: bool) -> None:
+    """Of the clipped loss and the entropy; in the first step the former is A2C's loss."""
     generator = torch.Generator().manual_seed(0)
     mean = torch.randn(50, 2, generator=generator, requires_grad=True)
     log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
@@ -141,62 +175,49 @@ def test_gradient_is_that_of_autograd(loss: str) -> None:
     part = PolicyData(
         obs=torch.zeros(50, 1),
         action=action,
-        log_prob=log_prob.detach() + 0.3 * torch.randn(50, generator=generator),
+        log_prob=log_prob.detach() + moved * 0.3 * torch.randn(50, generator=generator),
         advantage=torch.randn(50, generator=generator),
         weight=torch.rand(50, generator=generator),
         mean=mean.detach(),
         log_std=log_std.detach(),
     )
     ratio = (log_prob - part.log_prob).exp()
-    gain = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
-    gain = gain if loss == "clip" else log_prob * part.advantage
+    clipped = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
+    gain = clipped if moved else log_prob * part.advantage
     expected = -(part.weight * gain).mean()
     torch.autograd.backward(expected - 0.1 * entropy(log_std))
-    found, by_mean, by_log_std = differentiate(mean.detach(), log_std.detach(), part, hyper)
-    torch.testing.assert_close(found, expected.detach())
-    torch.testing.assert_close(by_mean, mean.grad)
-    torch.testing.assert_close(by_log_std, log_std.grad)
+    found, grad_mean, grad_log_std = differentiate(mean.detach(), log_std.detach(), part, 0.2, 0.1)
+    torch.testing.assert_close(found, -(part.weight * clipped).mean().detach())
+    torch.testing.assert_close(grad_mean, mean.grad)
+    torch.testing.assert_close(grad_log_std, log_std.grad)
 
 
-@pytest.mark.parametrize("loss", ["score", "clip"])
-def test_policy_moves_to_what_was_better(loss: str) -> None:
-    """The sign of either loss."""
-    hyper = on_policy("modern", "a2s", {"policy_loss": loss, "learning_rate": 1e-3})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+@pytest.mark.parametrize(("epochs", "minibatch"), [(10, 256), (1, 0)])
+def test_policy_moves_to_what_was_better(epochs: int, minibatch: int) -> None:
+    """By PPO's passes, and by A2C's single step."""
+    policy = make_policy()
     data = data_of(policy)
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
-    found = improve(policy, adam, data, hyper, learning_rate=1e-3, generator=generator)
-    moved = (policy(data.obs) - data.mean).mean(0)
-    assert float(moved[0].detach()) > 0.01
+    found = improved(policy, data, 1e-3, epochs=epochs, minibatch=minibatch)
+    with torch.no_grad():
+        moved = (policy(data.obs) - data.mean).mean(0)
+    assert float(moved[0]) > (0.01 if epochs > 1 else 1e-4)
+    assert found.epochs <= epochs
     assert found.kl > 0.0
 
 
 def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
     """A pass is finished, then no other begins."""
-    hyper = on_policy("modern", "a2s", {"kl_stop": 0.005})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
-    data = data_of(policy)
-    found = improve(policy, adam, data, hyper, learning_rate=3e-3, generator=generator)
-    assert found.epochs < hyper.policy_epochs
-    assert found.kl > hyper.kl_stop
+    policy = make_policy()
+    found = improved(policy, data_of(policy), 3e-3, kl_stop=0.005)
+    assert found.epochs < 10
+    assert found.kl > 0.005
 
 
 def test_std_is_held_at_its_floor() -> None:
     """Though the advantage asks for less."""
-    hyper = on_policy("modern", "a2s", {"std": 0.5, "std_floor": 0.499})
-    policy = Policy(4, 2, hyper, torch.Generator().manual_seed(0))
+    policy = make_policy(std_floor=0.499)
     data = data_of(policy)
     narrow = -(data.action - data.mean).square().sum(1)
-    adam, generator = Adam(FlatParameters(policy)), torch.Generator().manual_seed(0)
-    narrower = PolicyData(
-        obs=data.obs,
-        action=data.action,
-        log_prob=data.log_prob,
-        advantage=normalised(narrow, data.weight),
-        weight=data.weight,
-        mean=data.mean,
-        log_std=data.log_std,
-    )
-    improve(policy, adam, narrower, hyper, learning_rate=1e-2, generator=generator)
+    narrower = dataclasses.replace(data, advantage=normalised(narrow, data.weight))
+    improved(policy, narrower, 1e-2)
     torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))
