@@ -20,20 +20,12 @@ _MIN_INVERSE_TEMPERATURE = 1e-3
 
 
 class Choice(NamedTuple):
-    """What a suggester answers.
+    """What a suggester answers, float32."""
 
-    Attributes:
-        action: In the environment's units and within its bounds, float32 ``[B, A]``.
-        suggestion: The chosen one, canonical, before clipping, float32 ``[B, A]``.
-        log_prob: Its log density as executed, float32 ``[B]``: under the policy, and in the mode
-            ``soft`` also by the selection, see `log_preference`.
-        q_spread: Largest score less the mean over the K suggestions, in returns, float32 ``[B]``.
-    """
-
-    action: Tensor
-    suggestion: Tensor
-    log_prob: Tensor
-    q_spread: Tensor
+    action: Tensor  # in the environment's units and within its bounds, [B, A]
+    suggestion: Tensor  # the chosen one, canonical, before clipping, [B, A]
+    log_prob: Tensor  # its log density as executed, by `log_preference` of soft selection too, [B]
+    q_spread: Tensor  # largest score less the mean over the K suggestions, in returns, [B]
 
 
 class Suggester(nn.Module):
@@ -51,8 +43,8 @@ class Suggester(nn.Module):
         normaliser: Of the observations.
         policy: Suggests.
         q_net: Picks; ``None`` in the mode ``first``.
-        action_low: Lowest action of the environment, float32 ``[A]``.
-        action_high: Highest, float32 ``[A]``.
+        action_low: Of the environment, ``[A]``.
+        action_high: Of the environment, ``[A]``.
         mode: ``first``: the only suggestion, no Q inside (A2C, or Q is not trained yet: the argmax
             of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``.
         suggestions: K; 1 in the mode ``first``.
@@ -132,15 +124,9 @@ class Suggester(nn.Module):
 
 
 def suggest(mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
-    """Draw suggestions from the policy.
+    """Draw suggestions, canonical (-1..1 spans the action bounds) and not clipped.
 
-    Args:
-        mean: Of the policy, canonical (-1..1 spans the action bounds), ``[B, A]``.
-        std: Of the policy, ``[A]``.
-        normal: Standard normal noise, ``[B, K, A]``.
-
-    Returns:
-        Suggestions, canonical and not clipped, ``[B, K, A]``.
+    Means ``[B, A]``, deviation ``[A]`` and standard normal noise ``[B, K, A]`` to ``[B, K, A]``.
     """
     return mean.unsqueeze(1) + std * normal
 
@@ -164,15 +150,8 @@ def select_soft(q_value: Tensor, gumbel: Tensor, temperature: float) -> Tensor:
     """Draw a suggestion by the softmax of Q in units of its own spread.
 
     ``argmax(z + gumbel)`` is a draw from ``softmax(z)``, with
-    ``z = (q - mean q) / (std of q over K * temperature)``.
-
-    Args:
-        q_value: Scores, ``[B, K]``.
-        gumbel: Standard Gumbel noise, ``[B, K]``; zeros give the suggestion of largest Q.
-        temperature: Above 0.
-
-    Returns:
-        Indices, int64 ``[B]``.
+    ``z = (q - mean q) / (std of q over K * temperature)``: scores and standard Gumbel noise
+    ``[B, K]`` to int64 ``[B]``. Noise of 0 gives the suggestion of largest Q.
 
     Raises:
         A2SError: A score is not finite.
@@ -186,25 +165,14 @@ def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor
 
     ``log(K p)``, p the chance of the chosen one given the K. An average over executed suggestions,
     each weighed by ``1 / (K p)``, is one over the policy: K drawn alike, each counted once.
-
-    Args:
-        q_value: Scores, ``[B, K]``.
-        index: Chosen, ``[B]``.
-        temperature: Above 0.
-
-    Returns:
-        Float32 ``[B]``; 0 where K is 1 or all scores are equal.
+    Scores ``[B, K]`` and chosen indices ``[B]`` to ``[B]``; 0 where K is 1 or all scores are equal.
     """
     chance = _in_spreads(q_value, temperature).log_softmax(1)
     return chance.gather(1, index.unsqueeze(1)).squeeze(1) + math.log(q_value.shape[1])
 
 
 def inverse_temperature(progress: float) -> float:
-    """Of annealed soft selection, in that of its beginning: falls from 1 in the run, but not to 0.
-
-    Args:
-        progress: Fraction of the run that is done, 0..1.
-    """
+    """Of annealed soft selection, 1 at first: what is left of the run, but never 0."""
     return max(1.0 - progress, _MIN_INVERSE_TEMPERATURE)
 
 

@@ -30,34 +30,16 @@ class AuthorsConfig(Settings):
     std_floor: ClassVar[float] = 0.0  # not used
 
     suggestions: int = setting(
-        10,
-        "K, actions that the policy suggests for every observation, at least 1; 1 is A2C",
-        "paper, table 3",
-        low=1,
-        high=1024,
+        10, "K, suggestions for every observation; 1 is A2C", "paper, table 3", low=1, high=1024
     )
     batch_steps: int = setting(500, "Steps in one batch, at least", "authors' code", low=1)
-    min_episodes: int = setting(
-        3, "Finished episodes in one batch, at least; all are whole", "authors' code", low=1
-    )
-    gamma: float = setting(
-        0.97, "Discount per step, above 0 and at most 1", "paper, table 3", low=1e-6, high=1
-    )
-    policy_sizes: tuple[int, ...] = setting(
-        (64, 64), "Units of the policy's hidden layers", "paper, section 5"
-    )
-    value_sizes: tuple[int, ...] = setting(
-        (64, 64), "Units of the value network's hidden layers", "paper, section 5"
-    )
-    q_sizes: tuple[int, ...] = setting(
-        (128, 64), "Units of the hidden layers of Q", "paper, section 5"
-    )
+    min_episodes: int = setting(3, "Episodes in one batch, all whole", "authors' code", low=1)
+    gamma: float = setting(0.97, "Discount per step", "paper, table 3", low=1e-6, high=1)
+    policy_sizes: tuple[int, ...] = setting((64, 64), "Policy: hidden units", "paper, section 5")
+    value_sizes: tuple[int, ...] = setting((64, 64), "V: hidden units", "paper, section 5")
+    q_sizes: tuple[int, ...] = setting((128, 64), "Q: hidden units", "paper, section 5")
     std: float = setting(
-        0.5,
-        "Standard deviation of the policy; 1 is half the action range",
-        "paper, table 3",
-        low=1e-6,
-        high=1e6,
+        0.5, "Standard deviation of the policy, fixed", "paper, table 3", low=1e-6, high=1e6
     )
     advantage: Advantage = setting(
         "return-v",
@@ -71,30 +53,20 @@ class AuthorsConfig(Settings):
         "authors", "Equation 5: ``off``, or as printed", "paper, equation 5"
     )
     recovery_bias: float = setting(
-        0.65,
-        "Alpha: P(recover) = clip(gap - alpha, 0, 1), so a larger one means fewer recoveries",
-        "paper, table 3",
-        low=0e0,
-        high=1e6,
+        0.65, "Alpha: a larger one means fewer recoveries", "paper, table 3", low=0e0, high=1e6
     )
     recovery_statistic: ReturnStatistic = setting(
-        "max", "What is compared: mean or maximum of the batch's episode returns", "authors' code"
+        "max", "``mean`` or ``max`` of the batch's episode returns", "authors' code"
     )
     recovery_offset: float = setting(
-        100.0,
-        "Added to the returns in the test alone, never to rewards",
-        "authors' code",
-        low=-1e12,
-        high=1e12,
+        100.0, "Added to the returns in the test alone", "authors' code", low=-1e12, high=1e12
     )
     recovery_learns: bool = setting(
         True,
         "Equation 6 and the policy gradient still learn from the batch that led to recovery",
         "authors' code",
     )
-    learning_rate: float = setting(
-        0.001, "Of every Adam, at first", "authors' code", low=1e-12, high=1000
-    )
+    learning_rate: float = setting(0.001, "At first", "authors' code", low=1e-12, high=1000)
     kl_target: float = setting(
         0.001,
         "Wanted KL divergence of one policy gradient, nats, mean over action dimensions",

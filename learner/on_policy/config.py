@@ -29,11 +29,7 @@ class OnPolicyConfig(Settings):
     learn_std: ClassVar[bool] = True  # PPO paper, table 3
 
     suggestions: int = setting(
-        10,
-        "K, actions that the policy suggests for every observation, at least 1; 1 is A2C",
-        "paper, table 3",
-        low=1,
-        high=1024,
+        10, "K, suggestions for every observation; 1 is A2C", "paper, table 3", low=1, high=1024
     )
     selection: Selection = setting(
         "soft",
@@ -54,17 +50,10 @@ class OnPolicyConfig(Settings):
     )
     batch_steps: int = setting(2048, "Steps in one batch, at least", "PPO paper, table 3", low=1)
     first_batch_steps: int = setting(
-        256,
-        "Steps in the first batch; batches grow from here to ``batch_steps``",
-        "measured: InvertedPendulum is solved in 15 small batches",
-        low=1,
+        256, "Steps in the first batch", "measured: InvertedPendulum takes 15 small batches", low=1
     )
     batch_growth: float = setting(
-        1.1,
-        "Factor by which the batches grow from one update to the next, at least 1",
-        "measured, with the size of the first batch",
-        low=1,
-        high=1e6,
+        1.1, "Factor from one batch to the next, up to ``batch_steps``", "measured", low=1, high=1e6
     )
     max_policy_lag: int = setting(
         1,
@@ -72,12 +61,10 @@ class OnPolicyConfig(Settings):
         "acting and learning at the same time",
         low=0,
     )
-    gamma: float = setting(
-        0.99, "Discount per step, above 0 and at most 1", "PPO paper, table 3", low=1e-6, high=1
-    )
+    gamma: float = setting(0.99, "Discount per step", "PPO paper, table 3", low=1e-6, high=1)
     gae_lambda: float = setting(
         0.95,
-        "Lambda of the advantages, and of the targets of Q and V, 0..1; 1: discounted returns",
+        "Lambda of the advantages, and of the targets of Q and V; 1: discounted returns",
         "PPO paper, table 3",
         low=0e0,
         high=1,
@@ -93,24 +80,13 @@ class OnPolicyConfig(Settings):
         "Andrychowicz et al. 2021",
     )
     return_window_steps: int = setting(
-        20480,
-        "Steps over which the statistics of the targets are remembered, about",
-        "ten batches",
-        low=1,
+        20480, "Steps that the statistics of targets remember, about", "ten batches", low=1
     )
-    policy_sizes: tuple[int, ...] = setting(
-        (64, 64), "Units of the policy's hidden layers", "paper, section 5"
-    )
-    value_sizes: tuple[int, ...] = setting(
-        (64, 64), "Units of the value network's hidden layers", "paper, section 5"
-    )
-    q_sizes: tuple[int, ...] = setting(
-        (128, 64), "Units of the hidden layers of Q", "paper, section 5"
-    )
+    policy_sizes: tuple[int, ...] = setting((64, 64), "Policy: hidden units", "paper, section 5")
+    value_sizes: tuple[int, ...] = setting((64, 64), "V: hidden units", "paper, section 5")
+    q_sizes: tuple[int, ...] = setting((128, 64), "Q: hidden units", "paper, section 5")
     layer_norm: bool = setting(
-        True,
-        "Hidden layers are normalised, with gain and offset, before the non-linearity",
-        "authors' code",
+        True, "Hidden layers are normalised before the non-linearity", "authors' code"
     )
     std: float = setting(
         0.5,
@@ -122,29 +98,19 @@ class OnPolicyConfig(Settings):
     std_floor: float = setting(
         0.15, "Least standard deviation", "selection shrinks a learned std", low=0e0, high=1e6
     )
-    critic_epochs: int = setting(
-        10, "Passes over the batch of the fits of Q and V", "PPO paper, table 3", low=1
-    )
+    critic_epochs: int = setting(10, "Passes over the batch: Q and V", "PPO paper, table 3", low=1)
     min_minibatches: int = setting(
         8,
         "Least number of minibatches in a pass over a small batch, of Q and V and of the policy",
         "measured: InvertedPendulum solved in 4,400 steps, not 8,500",
         low=1,
     )
-    critic_minibatch: int = setting(
-        256, "Steps in one minibatch of Q and V", "as the policy", low=1
-    )
+    critic_minibatch: int = setting(256, "Steps in a minibatch: Q and V", "as the policy", low=1)
     norm_advantage: bool = setting(
-        True,
-        "Advantages of a batch are brought to mean 0 and standard deviation 1",
-        "common practice",
+        True, "Advantages of a batch have mean 0 and standard deviation 1", "common practice"
     )
     clip_ratio: float = setting(
-        0.2,
-        "How far the ratio of densities may go from 1 in PPO's clipped loss",
-        "PPO paper, table 3",
-        low=1e-6,
-        high=1e6,
+        0.2, "Epsilon of PPO's clipped loss", "PPO paper, table 3", low=1e-6, high=1e6
     )
     weight_limit: float = setting(
         5.0,
@@ -157,13 +123,13 @@ class OnPolicyConfig(Settings):
     )
     policy_epochs: int = setting(
         10,
-        "Passes over the batch of the policy gradient; 1 with ``policy_minibatch`` 0 is A2C's",
+        "Passes over the batch: policy; 1 with ``policy_minibatch`` 0 is A2C's gradient",
         "PPO paper, table 3",
         low=1,
     )
     policy_minibatch: int = setting(
         256,
-        "Steps in one minibatch of the policy gradient; 0: the whole batch",
+        "Steps in a minibatch: policy; 0: the whole batch",
         "measured: 64 and 128 no better on HalfCheetah, and slower",
         low=0,
     )
@@ -181,12 +147,10 @@ class OnPolicyConfig(Settings):
     distil_suggestions: int = setting(
         10, "Fresh suggestions per observation for equation 6", low=1, high=1024
     )
-    distil_steps: int = setting(50, "Gradient steps of ``separate``", low=1)
-    distil_minibatch: int = setting(128, "Steps in one minibatch of ``separate``", low=1)
+    distil_steps: int = setting(50, "Gradient steps of equation 6", low=1)
+    distil_minibatch: int = setting(128, "Steps in a minibatch: equation 6", low=1)
     distil_kl: float = setting(
-        0.02,
-        "``separate`` ends when a minibatch has moved by this KL divergence, joint, nats",
-        low=0e0,
+        0.02, "Equation 6 ends when a minibatch has moved by this KL, joint, nats", low=0e0
     )
     recovery: RecoveryRule = setting(
         "invariant",
@@ -201,13 +165,11 @@ class OnPolicyConfig(Settings):
         high=1e6,
     )
     recovery_statistic: ReturnStatistic = setting(
-        "mean",
-        "What is compared: mean or maximum of undiscounted episode returns",
-        "a single lucky episode sets a maximum for ever",
+        "mean", "``mean`` or ``max`` of episode returns", "one lucky episode sets a lasting maximum"
     )
     recovery_episodes: int = setting(
         50,
-        "Episodes that are compared, the latest; 0: those that ended in the batch",
+        "Latest episodes that are compared; 0: those that ended in the batch",
         "measured: the mean of 10 falls to half by chance, adr/0006",
         low=0,
     )
@@ -218,14 +180,10 @@ class OnPolicyConfig(Settings):
         2.0, "A recovery divides the learning rate by this", "ours, to be tuned", low=1, high=1e6
     )
     learning_rate: float = setting(
-        0.0005,
-        "Of Adam on the policy, at first",
-        "measured: 1e-3 no better on InvertedPendulum",
-        low=1e-12,
-        high=1000,
+        0.0005, "Of the policy, at first", "1e-3 measured no better", low=1e-12, high=1000
     )
     critic_learning_rate: float = setting(
-        0.0005, "Of Adam on Q and V, at first", "as the policy", low=1e-12, high=1000
+        0.0005, "Of Q and V, at first", "as the policy", low=1e-12, high=1000
     )
     lr_rule: LearningRateRule = setting(
         "anneal",

@@ -4,8 +4,6 @@ Source: section 4.1.1 of the paper, "we take multiple gradient steps for value n
 network".
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -16,21 +14,20 @@ from a2s.learner.networks.body import Body
 
 
 class Fits(NamedTuple):
-    """Losses in normalised returns, and gradient steps, of Q and V; 0 where not fitted."""
+    """Losses in normalised returns, and gradient steps; 0 where not fitted."""
 
     q_loss: float = 0.0
     value_loss: float = 0.0
-    q_steps: int = 0
-    value_steps: int = 0
+    q_fit_steps: int = 0
+    value_fit_steps: int = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Regression:
-    """One network to be fitted: its body, its inputs ``[N, in]``, its optimiser."""
+class Regression(NamedTuple):
+    """A network with one output to be fitted, and its inputs, ``[N, in]``."""
 
     body: Body
-    inputs: Tensor
     optimiser: Adam
+    inputs: Tensor
 
     @torch.no_grad()
     def step(
@@ -65,25 +62,12 @@ def fit_critics(
     max_grad_norm: float,
     generator: torch.Generator,
 ) -> Fits:
-    """Fit V, and Q where something reads it, side by side on the same minibatches.
+    """Fit V, and Q where something reads it, in passes over the same minibatches.
 
-    V learns the same to the bit whether or not Q is fitted beside it.
-
-    Args:
-        value: V.
-        q: Q, if it is to be fitted.
-        target: What both regress to, normalised, ``[N]``.
-        epochs: Passes over the batch.
-        minibatch: Rows of one step, about.
-        min_minibatches: In one pass.
-        learning_rate: Of both.
-        max_grad_norm: Of each of them; 0: not limited.
-        generator: Draws the order.
-
-    Returns:
-        Mean losses of the last pass, and steps.
+    V learns the same to the bit whether or not Q is fitted beside it. The target of both is
+    normalised, ``[N]``; ``max_grad_norm`` is of each, 0: not limited; losses are of the last pass.
     """
-    jobs: Sequence[Regression] = (value,) if q is None else (value, q)
+    jobs = [value] if q is None else [value, q]
     count = num_minibatches(len(target), minibatch, min_minibatches)
     totals = torch.zeros(len(jobs))
     for _ in range(epochs):
@@ -99,5 +83,5 @@ def fit_critics(
     value_loss, *q_loss = (totals / count).tolist()
     steps = epochs * count
     if q is None:
-        return Fits(value_loss=value_loss, value_steps=steps)
+        return Fits(value_loss=value_loss, value_fit_steps=steps)
     return Fits(q_loss[0], value_loss, steps, steps)

@@ -20,18 +20,15 @@ ROWS_PER_CALL = 1024
 class Distilled(NamedTuple):
     """Mean loss of equation 6, and its gradient steps."""
 
-    loss: float = 0.0
-    steps: int = 0
+    distil_loss: float = 0.0
+    distil_steps: int = 0
 
 
-def score_in_parts(q_net: Q, obs: Tensor, action: Tensor) -> Tensor:
+def score_in_parts(q_net: Q, norm_obs: Tensor, action: Tensor) -> Tensor:
     """Score as `Q.score` does, ``[N, D]``, ``[N, K, A]`` to ``[N, K]``, a cacheful at a time."""
     parts = math.ceil(action.shape[0] * action.shape[1] / ROWS_PER_CALL)
-    scores = [
-        q_net.score(some_obs, some_action)
-        for some_obs, some_action in zip(obs.chunk(parts), action.chunk(parts), strict=True)
-    ]
-    return torch.cat(scores)
+    pairs = zip(norm_obs.chunk(parts), action.chunk(parts), strict=True)
+    return torch.cat([q_net.score(*pair) for pair in pairs])
 
 
 @torch.no_grad()
@@ -44,14 +41,14 @@ def distil_target(
     action_mode: ActionMode,
     generator: torch.Generator,
 ) -> Tensor:
-    """Pick the best of K fresh suggestions for every observation.
+    """Pick the best of K fresh suggestions for every observation, as Q sees it.
 
     Args:
         q_net: Already updated.
         policy: Suggests.
-        norm_obs: Normalised observations, ``[N, D]``.
+        norm_obs: ``[N, D]``.
         suggestions: K.
-        action_mode: What Q sees, and what the mean moves to.
+        action_mode: What Q sees.
         generator: Draws the suggestions.
 
     Returns:
@@ -65,14 +62,9 @@ def distil_target(
 
 @torch.no_grad()
 def distil_loss(mean: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-    """Loss of equation 6: squared error, its mean over steps and dimensions.
+    """Squared error, its mean over steps and dimensions, and its gradient by the mean ``[M, A]``.
 
-    Args:
-        mean: Of the policy, ``[M, A]``.
-        target: mu^Q, ``[M, A]``.
-
-    Returns:
-        The loss, a scalar, and its gradient by the mean, ``[M, A]``.
+    Source: equation 6 of the paper, as printed.
     """
     error = mean - target
     return error.square().mean(), error * (2.0 / error.numel())
@@ -96,11 +88,11 @@ def distil_policy(
     Args:
         policy: Changed in place.
         optimiser: Of equation 6 alone.
-        norm_obs: Normalised observations, ``[N, D]``.
+        norm_obs: ``[N, D]``.
         target: From `distil_target`, ``[N, A]``.
         steps: At most.
         minibatch: Rows of one step, drawn with replacement.
-        kl_bound: Joint KL divergence, nats, from the policy before.
+        kl_bound: Joint KL divergence from the policy before, nats.
         learning_rate: Of Adam.
         max_grad_norm: 0: not limited.
         generator: Draws the rows.

@@ -13,15 +13,12 @@ class LearningRate:
     to their first value after a recovery has cut it.
 
     Args:
-        rule: ``constant``, ``anneal`` or ``kl``.
-        first: At first.
-        kl_target: Wanted KL divergence of an update, nats.
+        rule: Which.
+        first: Its first value.
+        kl_target: Wanted KL divergence of an update, nats; the last one measured is ``last_kl``.
         recovery_divisor: A recovery divides the rate by this.
         low: Least rate after a recovery and of the rule ``kl``.
         high: Greatest rate of the rule ``kl``.
-
-    Attributes:
-        last_kl: KL divergence of the last update, nats.
 
     Source: section 4.1.1 of the paper ("adapt the learning rate to keep the KL-divergence around
     a desired value"), factors as in the authors' code.

@@ -23,39 +23,24 @@ MIN_WEIGHT, MAX_LOG_RATIO = 1e-30, 20.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PolicyData:
-    """What the policy learns from.
+    """What the policy learns from: N steps, and the policy before the update."""
 
-    Attributes:
-        obs: Normalised, ``[N, D]``.
-        action: Executed suggestions, not clipped, ``[N, A]``.
-        log_prob: Their log density under the policy before the update, ``[N]``.
-        advantage: ``[N]``.
-        weight: Importance of each for an average over that policy, ``[N]``.
-        mean: Of that policy, ``[N, A]``.
-        log_std: Of that policy, ``[A]``.
-    """
-
-    obs: Tensor
-    action: Tensor
-    log_prob: Tensor
-    advantage: Tensor
-    weight: Tensor
-    mean: Tensor
-    log_std: Tensor
+    obs: Tensor  # normalised, [N, D]
+    action: Tensor  # executed suggestions, not clipped, [N, A]
+    log_prob: Tensor  # their log density under the policy before the update, [N]
+    advantage: Tensor  # [N]
+    weight: Tensor  # importance of each for an average over that policy, [N]
+    mean: Tensor  # of that policy, [N, A]
+    log_std: Tensor  # of that policy, [A]
 
 
 class PolicyChange(NamedTuple):
-    """What the policy gradient did.
+    """What the policy gradient did."""
 
-    Attributes:
-        loss: Mean of the last pass.
-        epochs: Passes made.
-        kl: Divergence from the policy before, nats.
-    """
-
-    loss: float = 0.0
-    epochs: int = 0
-    kl: float = 0.0
+    policy_loss: float = 0.0  # mean of the last pass
+    policy_epochs: int = 0
+    kl: float = 0.0  # from the policy before, nats
+    advantage_std: float = 0.0  # in returns, before the advantages are normalised
 
 
 def log_density(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
@@ -70,16 +55,9 @@ def entropy(log_std: Tensor) -> Tensor:
 
 
 def gaussian_kl(mean: Tensor, log_std: Tensor, old_mean: Tensor, old_log_std: Tensor) -> Tensor:
-    """KL(new || old) of diagonal Gaussians in nats, by dimension.
+    """KL(new || old) of diagonal Gaussians in nats, by dimension: ``[N, A]``.
 
-    Args:
-        mean: Of the new ones, ``[N, A]``.
-        log_std: Of the new ones, ``[A]``.
-        old_mean: ``[N, A]``.
-        old_log_std: ``[A]``.
-
-    Returns:
-        ``[N, A]``; the sum over A is the divergence of the joint densities.
+    Means are ``[N, A]``, deviations ``[A]``. The sum over A is the divergence of the joint density.
     """
     change = log_std - old_log_std
     apart = ((mean - old_mean) * (-old_log_std).exp()).square()
@@ -92,10 +70,8 @@ def importance(log_prob: Tensor, executed_log_prob: Tensor, limit: float) -> Ten
     What Q prefers is executed more often than the policy draws it; unless that is undone, the
     gradient of its density pulls wherever Q points, good or not, and shrinks the deviation.
 
-    Args:
-        log_prob: Under the policy, ``[N]``.
-        executed_log_prob: With the selection, ``[N]``.
-        limit: Greatest weight before they are brought to mean 1; 0: all are 1.
+    Densities, under the policy and as executed with the selection, and weights are ``[N]``. No
+    weight is above ``limit`` before they are brought to mean 1; with 0 all are 1.
 
     Source: Hilton et al. 2021, "Batch size-invariance for policy optimization": the
     policy that the ratio is clipped around need not be the one that acted.
@@ -124,15 +100,8 @@ def clipped_loss(
     A2C's loss: equation 4 of the paper. ``policy_epochs=1`` and ``policy_minibatch=0`` make no
     other step.
 
-    Args:
-        log_prob: Of the present policy, ``[M]``.
-        old_log_prob: Of the policy before the update, ``[M]``.
-        advantage: ``[M]``.
-        weight: Importance of each, ``[M]``.
-        clip: Epsilon.
-
     Returns:
-        The loss, a scalar, and its derivative by ``log_prob``, ``[M]``.
+        The loss, a scalar, and its derivative by ``log_prob``, ``[M]`` like the arguments.
 
     Source: Schulman et al. 2017, equation 7.
     """
@@ -142,13 +111,6 @@ def clipped_loss(
     limited = ratio.clamp(1.0 - clip, 1.0 + clip) * worth
     slope = free * (free <= limited) / -free.numel()
     return -torch.minimum(free, limited).mean(), slope
-
-
-@torch.no_grad()
-def joint_kl(policy: Policy, data: PolicyData) -> float:
-    """Mean over the batch of KL(policy || the one that the data remembers), nats."""
-    kl = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
-    return float(kl.sum(1).mean())
 
 
 def improve(
@@ -173,8 +135,8 @@ def improve(
         optimiser: Of the policy gradient.
         data: The batch.
         epochs: Passes at most.
-        minibatch: Steps of one gradient step, about; 0: the whole batch.
-        min_minibatches: In one pass.
+        minibatch: Steps in one, about; 0: the whole batch.
+        min_minibatches: Of a pass.
         kl_stop: No pass begins when the KL divergence is above this, joint, nats.
         clip_ratio: Epsilon of `clipped_loss`.
         entropy_weight: Of the entropy bonus.
@@ -196,7 +158,9 @@ def improve(
             optimiser.step(learning_rate, max_grad_norm)
             policy.hold_floor()
             total += loss
-        kl = joint_kl(policy, data)
+        with torch.no_grad():
+            moved = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
+            kl = float(moved.sum(1).mean())
     return PolicyChange(float(total / count), passes, kl)
 
 
@@ -204,14 +168,7 @@ def improve(
 def differentiate(
     mean: Tensor, log_std: Tensor, part: PolicyData, clip_ratio: float, entropy_weight: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Loss of a policy on some data, and its gradient.
-
-    Args:
-        mean: Of the policy on the data, ``[M, A]``.
-        log_std: Of the policy, ``[A]``.
-        part: The data.
-        clip_ratio: Epsilon of `clipped_loss`.
-        entropy_weight: Of the entropy bonus.
+    """Loss of a policy on some data, by its means ``[M, A]`` and log deviation, and its gradient.
 
     Returns:
         The loss without the bonus, a scalar; the gradient of the loss less the bonus by the mean,

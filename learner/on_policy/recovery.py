@@ -12,25 +12,16 @@ from typing import Any
 from a2s.learner.on_policy.config import RecoveryRule, ReturnStatistic
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RecoveryDecision:
-    """One test of equation 5.
+    """One test of equation 5."""
 
-    Attributes:
-        recover: Go back to the best networks.
-        improved: The networks that made this batch are the best so far.
-        draw: The uniform number of the test, 0..1.
-        probability: Chance of recovery at these returns.
-        r: Return statistic now; ``None`` while there are too few episodes.
-        r_best: The best one before, r*; ``None`` before the first.
-    """
-
-    recover: bool
-    improved: bool
-    draw: float
-    probability: float
-    r: float | None
-    r_best: float | None
+    recover: bool  # go back to the best networks
+    improved: bool  # the networks that made this batch are the best so far
+    draw: float  # the uniform number of the test, 0..1
+    probability: float  # chance of recovery at these returns
+    r: float | None  # return statistic now; None while there are too few episodes
+    r_best: float | None  # the best one before, r*; None before the first
 
 
 def gap_as_printed(r: float, r_best: float) -> float:
@@ -60,9 +51,9 @@ class Recovery:
     """Keeps r*, the first r and the last returns; takes the draw as an argument.
 
     Args:
-        rule: ``off``, ``authors`` (equation 5 as printed) or ``invariant``.
+        rule: Equation 5 as the ``authors`` print it, ``invariant`` to scale and sign, or ``off``.
         bias: Alpha.
-        statistic: ``mean`` or ``max`` of episode returns.
+        statistic: Of episode returns.
         episodes: How many of the last ones; undecided while there are fewer. 0: those of the batch.
         offset: Added to every return in the test.
         cool_down: Updates after a recovery in which there is no other.
@@ -90,27 +81,17 @@ class Recovery:
         self._waiting = 0
 
     def judge(self, episode_returns: Sequence[float], draw: float) -> RecoveryDecision:
-        """Take the returns of a batch into account and test equation 5.
+        """Take the undiscounted returns of a batch into account and test equation 5.
 
-        After a recovery the returns of the failed networks are forgotten.
-
-        Args:
-            episode_returns: Undiscounted returns of the episodes that ended in the batch.
-            draw: Uniform, 0 to below 1.
+        The draw is uniform, 0 to below 1. After a recovery the returns of the failed networks are
+        forgotten.
         """
         r, best = self._observe(episode_returns), self._best
         improved = r is not None and (best is None or r > best)
         probability = self._probability(r, best)
         recover = probability > 0 and 1.0 - probability < draw
         self._remember(r, improved=improved, recover=recover)
-        return RecoveryDecision(
-            recover=recover,
-            improved=improved,
-            draw=draw,
-            probability=probability,
-            r=r,
-            r_best=best,
-        )
+        return RecoveryDecision(recover, improved, draw, probability, r, best)
 
     def _observe(self, episode_returns: Sequence[float]) -> float | None:
         shifted = [value + self._offset for value in episode_returns]

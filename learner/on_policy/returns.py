@@ -22,12 +22,7 @@ class Estimates(NamedTuple):
 def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
     """Solve ``y[t] = amount[t] + decay[t] * y[t + 1]`` from the end, in double precision.
 
-    Args:
-        amount: ``[N]``.
-        decay: ``[N]``, 0 at the last step of every segment.
-
-    Returns:
-        The sums, float32 ``[N]``.
+    All are ``[N]``; the decay is 0 at the last step of every segment.
     """
     carry, sums = 0.0, []
     for here, keep in zip(
@@ -60,7 +55,7 @@ def lambda_estimates(
         batch: Gives rewards and segments.
         value: V of every observation before its update, ``[N]``.
         after: From `bootstrap`, ``[S]``.
-        gamma: Discount.
+        gamma: Discount per step.
         lam: 0..1.
 
     Source: r^gamma of section 4.1 of the paper for ``lam = 1``; else Schulman et al. 2016, eq. 16.

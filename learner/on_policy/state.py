@@ -1,8 +1,7 @@
 """Everything that learning changes: what a checkpoint holds, and what a recovery restores."""
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,43 +20,26 @@ _GENERATORS = ("networks", "order", "q", "recovery")
 _BEST = "best."
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
-    """Copies of what a recovery restores, as ``TrainState.capture`` made them.
+class Snapshot(NamedTuple):
+    """Copies of what a recovery restores."""
 
-    Attributes:
-        tensors: Parameters, moments and statistics of observations, by name.
-        returns: State of the scale of returns.
-        weights_version: Version under which the networks made the batch.
-    """
-
-    tensors: dict[str, Tensor]
-    returns: dict[str, float]
-    weights_version: int
+    tensors: dict[str, Tensor]  # parameters, moments and statistics of observations, by name
+    returns: dict[str, float]  # state of the scale of returns
+    weights_version: int  # under which the networks made the batch
 
 
 class TrainState:
     """Networks, their optimisers, normalisers, learning rate, recovery and random generators.
 
-    Args:
-        obs_size: D.
-        action_size: A.
-        config: Gives sizes and normalisers.
-        learning_rate: Of the policy.
-        recovery: Equation 5.
-        seed: Of the first weights and of every random choice.
-
     Attributes:
         normaliser: Of the observations.
         returns: Scale of what Q and V say.
-        policy: Suggests.
-        value_net: V.
-        q_net: Q.
         adam: One optimiser for ``policy``, ``value`` and ``q``, and ``distil`` (of the policy).
         generators: ``networks`` for first weights, ``order`` for minibatches, ``q`` for what only Q
             needs (so that A2C draws the same), ``recovery`` for equation 5.
         best: The networks that reached r*.
         updates: Batches learned from.
+        q_trusted: Q may choose. The argmax of an untrained Q is one arbitrary direction everywhere.
     """
 
     def __init__(
@@ -95,88 +77,57 @@ class TrainState:
         self.best: Snapshot | None = None
         self._before: Snapshot | None = None
         self.updates = 0
+        self.q_trusted = False
 
-    def regression_of_value(self, norm_obs: Tensor) -> Regression:
-        """V, to be fitted on normalised observations ``[N, D]``."""
-        return Regression(body=self.value_net.body, inputs=norm_obs, optimiser=self.adam["value"])
+    def fit_of_value(self, norm_obs: Tensor) -> Regression:
+        """V, to be fitted on observations ``[N, D]``."""
+        return Regression(self.value_net.body, self.adam["value"], norm_obs)
 
-    def regression_of_q(self, norm_obs: Tensor, action: Tensor) -> Regression:
-        """Q, to be fitted on normalised observations ``[N, D]`` and actions ``[N, A]``."""
+    def fit_of_q(self, norm_obs: Tensor, action: Tensor) -> Regression:
+        """Q, to be fitted on observations ``[N, D]`` and actions ``[N, A]``."""
         inputs = torch.cat([norm_obs, action], 1)
-        return Regression(body=self.q_net.body, inputs=inputs, optimiser=self.adam["q"])
+        return Regression(self.q_net.body, self.adam["q"], inputs)
 
-    def require_finite(self) -> None:
-        """Check the parameters after an update.
+    def end_update(self) -> None:
+        """Count an update.
 
         Raises:
-            A2SError: One is not a finite number.
+            A2SError: It left a parameter that is not finite.
         """
+        self.updates += 1
         if not all(bool(torch.isfinite(flat.value).all()) for flat in self._flat.values()):
             raise A2SError(f"update {self.updates}: found non-finite weights, expected finite")
 
     def judge(self, batch: Batch, *, is_behind: bool) -> RecoveryDecision | None:
         """Test equation 5, and keep the networks that made the batch when they are the best.
 
-        Args:
-            batch: Gives the episode returns.
-            is_behind: The networks before the last update made it, not the present ones.
-
-        Returns:
-            ``None`` where recovery is off.
+        These are the present ones, or those before the last update when the batch is behind.
+        ``None`` where recovery is off.
         """
         if self.recovery.rule == "off":
             return None
         draw = float(torch.rand((), generator=self.generators["recovery"]))
         decision = self.recovery.judge(batch.episode_returns.tolist(), draw)
-        present = self.capture(0)
+        present = self._capture()
         if decision.improved:
             made_it = self._before if is_behind and self._before is not None else present
             version = int(batch.weights_version.max())
-            self.best = dataclasses.replace(made_it, weights_version=version)
+            self.best = made_it._replace(weights_version=version)
         self._before = present
         return decision
 
     def recover(self, *, networks_only: bool = False) -> None:
-        """Go back to the best networks.
+        """Go back to the best networks, and with them to their optimisers and observations.
 
-        Args:
-            networks_only: Keep optimisers and statistics of observations. The scale of returns
-                always goes with the networks: it is the unit in which they speak.
+        The scale of returns always goes with the networks: it is the unit in which they speak.
         """
         assert self.best is not None, "there is an r* but no networks that reached it"
         self._restore(self.best, networks_only=networks_only)
         self.learning_rate.after_recovery()
 
-    def capture(self, weights_version: int) -> Snapshot:
-        """Copy what a recovery restores."""
-        tensors = {name: flat.value.clone() for name, flat in self._flat.items()}
-        for name, buffer in self.normaliser.named_buffers():
-            tensors[f"normaliser.{name}"] = buffer.clone()
-        for name, adam in self.adam.items():
-            tensors |= {f"adam.{name}.{key}": value for key, value in adam.state().items()}
-        return Snapshot(
-            tensors=tensors, returns=self.returns.state(), weights_version=weights_version
-        )
-
-    def _restore(self, snapshot: Snapshot, *, networks_only: bool = False) -> None:
-        stored = snapshot.tensors
-        for name, flat in self._flat.items():
-            flat.load(stored[name])
-        self.returns.load(snapshot.returns)
-        if networks_only:
-            return
-        for name, buffer in self.normaliser.named_buffers():
-            buffer.copy_(stored[f"normaliser.{name}"])
-        for name, adam in self.adam.items():
-            adam.load({key: stored[f"adam.{name}.{key}"] for key in adam.state()})
-
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Everything that `load` needs to go on to the bit.
-
-        Returns:
-            Tensors by name, and numbers that survive JSON.
-        """
-        present = self.capture(0)
+        """Everything that `load` needs to go on to the bit: tensors, and numbers for JSON."""
+        present = self._capture()
         tensors = dict(present.tensors)
         for name, generator in self.generators.items():
             tensors[f"generator.{name}"] = generator.get_state()
@@ -190,6 +141,7 @@ class TrainState:
             "step_size": self.learning_rate.state(),
             "recovery": self.recovery.state(),
             "updates": self.updates,
+            "q_trusted": self.q_trusted,
         }
         return tensors, scalars
 
@@ -208,14 +160,35 @@ class TrainState:
                 for name, tensor in tensors.items()
                 if name.startswith(_BEST)
             }
-            check_tensors(stored, self.capture(0).tensors)
-            self.best = Snapshot(tensors=stored, **scalars["best"])
-        self._restore(Snapshot(tensors=tensors, returns=scalars["returns"], weights_version=0))
+            check_tensors(stored, self._capture().tensors)
+            self.best = Snapshot(stored, **scalars["best"])
+        self._restore(Snapshot(tensors, scalars["returns"], 0))
         for name, generator in self.generators.items():
             generator.set_state(tensors[f"generator.{name}"])
         self.learning_rate.load(scalars["step_size"])
         self.recovery.load(scalars["recovery"])
         self.updates = scalars["updates"]
+        self.q_trusted = scalars["q_trusted"]
+
+    def _capture(self) -> Snapshot:
+        tensors = {name: flat.value.clone() for name, flat in self._flat.items()}
+        for name, buffer in self.normaliser.named_buffers():
+            tensors[f"normaliser.{name}"] = buffer.clone()
+        for name, adam in self.adam.items():
+            tensors |= {f"adam.{name}.{key}": value for key, value in adam.state().items()}
+        return Snapshot(tensors, self.returns.state(), weights_version=0)
+
+    def _restore(self, snapshot: Snapshot, *, networks_only: bool = False) -> None:
+        stored = snapshot.tensors
+        for name, flat in self._flat.items():
+            flat.load(stored[name])
+        self.returns.load(snapshot.returns)
+        if networks_only:
+            return
+        for name, buffer in self.normaliser.named_buffers():
+            buffer.copy_(stored[f"normaliser.{name}"])
+        for name, adam in self.adam.items():
+            adam.load({key: stored[f"adam.{name}.{key}"] for key in adam.state()})
 
 
 def check_tensors(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:

@@ -48,13 +48,8 @@ def estimate_targets(
 ) -> Targets:
     """Estimate advantages and targets with V as it is before its update.
 
-    Args:
-        batch: Played by the present networks, or by ones not much older.
-        state: Gives V, Q and the normalisers.
-        q_action: The executed actions as Q sees them, ``[N, A]``; ``None`` where Q is not used.
-        gamma: Discount per step.
-        gae_lambda: Of advantages and targets; 1: the discounted return, and that less V.
-        time_limit_is_terminal: Nothing is expected after a truncated episode.
+    ``q_action`` are the executed actions as Q sees them, ``[N, A]``, or ``None`` where Q is not
+    used. With ``gae_lambda = 1`` targets are discounted returns, and advantages those less V.
     """
     norm_obs = state.normaliser(torch.cat([batch.obs, batch.final_obs]))
     values = state.returns.restore(state.value_net(norm_obs))

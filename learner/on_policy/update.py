@@ -4,8 +4,6 @@ Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1. A2C i
 suggestion and neither equation. `authors.py` has the paper to the letter.
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -32,7 +30,7 @@ from a2s.learner.on_policy.targets import estimate_targets
 _MIN_LEARNING_RATE, _MAX_LEARNING_RATE = 1 / 50, 6.0
 
 
-class OnPolicy:
+class OnPolicy(TrainState):
     """The networks and everything that learning them needs.
 
     ::
@@ -41,16 +39,6 @@ class OnPolicy:
         while ...:
             graph = export(algorithm.suggester(low, high, progress), ...)
             stats = algorithm.update(batch)
-
-    Args:
-        obs_size: D.
-        action_size: A.
-        config: Hyperparameters.
-        seed: Of the first weights and of every random choice.
-
-    Attributes:
-        q_trusted: Q may choose: it was fitted once. The argmax of an untrained Q is one arbitrary
-            direction everywhere.
     """
 
     def __init__(self, obs_size: int, action_size: int, config: OnPolicyConfig, seed: int) -> None:
@@ -70,13 +58,7 @@ class OnPolicy:
             episodes=config.recovery_episodes,
             cool_down=config.recovery_cool_down,
         )
-        self.train_state = TrainState(obs_size, action_size, config, learning_rate, recovery, seed)
-        self.q_trusted = False
-
-    @property
-    def updates(self) -> int:
-        """Batches learned from."""
-        return self.train_state.updates
+        super().__init__(obs_size, action_size, config, learning_rate, recovery, seed)
 
     @property
     def next_batch(self) -> BatchSize:
@@ -89,23 +71,23 @@ class OnPolicy:
         """The present way of acting; it shares the networks and is valid until the next update.
 
         Args:
-            action_low: Of the environment, float32 ``[A]``.
-            action_high: Of the environment, float32 ``[A]``.
+            action_low: Of the environment, ``[A]``.
+            action_high: Of the environment, ``[A]``.
             progress: Fraction of the run that is done, 0..1; only ``anneal_selection`` reads it.
         """
-        config, state = self.config, self.train_state
+        config = self.config
         inverse = inverse_temperature(progress) if config.anneal_selection else 1.0
         picks = self.q_trusted and config.suggestions > 1
         return Suggester(
-            normaliser=state.normaliser,
-            policy=state.policy,
-            q_net=state.q_net if picks else None,
+            normaliser=self.normaliser,
+            policy=self.policy,
+            q_net=self.q_net if picks else None,
             action_low=action_low,
             action_high=action_high,
             mode=config.selection if picks else "first",
             suggestions=config.suggestions if picks else 1,
             temperature=config.selection_temperature / inverse,
-            q_scale=state.returns.std,
+            q_scale=self.returns.std,
         )
 
     def update(
@@ -121,89 +103,67 @@ class OnPolicy:
         Raises:
             A2SError: The networks are no longer finite.
         """
-        config, state = self.config, self.train_state
-        decision = state.judge(batch, is_behind=is_behind)  # equation 5
-        old_mean = self._mean(batch)
-        state.normaliser.update(batch.obs)
+        config = self.config
+        decision = self.judge(batch, is_behind=is_behind)  # equation 5
+        with torch.no_grad():
+            old_mean = self.policy(self.normaliser(batch.obs))
+        self.normaliser.update(batch.obs)
         q_action = as_q_sees(batch.suggestion, "clip") if config.uses_q else None
         targets = estimate_targets(
-            batch, state, q_action, gamma=config.gamma, gae_lambda=config.gae_lambda
+            batch, self, q_action, gamma=config.gamma, gae_lambda=config.gae_lambda
         )
-        state.learning_rate.adapt()
+        self.learning_rate.adapt()
+        fits, distilled, change = Fits(), Distilled(), PolicyChange()
         recovers = decision is not None and decision.recover
         if recovers:
-            state.recover()
-        rate = state.learning_rate.at(progress)
-        critic_rate = config.critic_learning_rate * state.learning_rate.left(progress)
-        fits, distilled, change = Fits(), Distilled(), PolicyChange()
+            self.recover()
+        rate = self.learning_rate.at(progress)
+        critic_rate = config.critic_learning_rate * self.learning_rate.left(progress)
         if not recovers:
-            norm_obs = state.normaliser(batch.obs)
+            norm_obs = self.normaliser(batch.obs)
             fits = self._fit_critics(norm_obs, q_action, targets.target, critic_rate)
             distilled = self._distil(norm_obs, rate)  # equation 6
             change = self._improve(batch, norm_obs, targets.advantage, old_mean, rate)  # equation 4
-            state.learning_rate.last_kl = change.kl
-        state.updates += 1
-        state.require_finite()
+            self.learning_rate.last_kl = change.kl
+        self.end_update()
         return update_stats(
-            batch, state, decision, targets, fits, distilled, change,
-            advantage_std=0.0 if recovers else float(targets.advantage.std(correction=0)),
-            learning_rate=rate, critic_learning_rate=critic_rate, q_trusted=self.q_trusted,
-        )  # fmt: skip
-
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Everything that `load` needs to go on to the bit: tensors, and numbers for JSON."""
-        tensors, scalars = self.train_state.state()
-        return tensors, scalars | {"q_trusted": self.q_trusted}
-
-    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
-        """Go back to a state of an object made with the same sizes and hyperparameters.
-
-        Raises:
-            A2SError: A tensor is missing or has another shape.
-        """
-        self.train_state.load(tensors, scalars)
-        self.q_trusted = scalars["q_trusted"]
-
-    @torch.no_grad()
-    def _mean(self, batch: Batch) -> Tensor:
-        mean: Tensor = self.train_state.policy(self.train_state.normaliser(batch.obs))
-        return mean
+            batch, self, targets, fits, distilled, change, decision, rate, critic_rate
+        )
 
     def _fit_critics(
         self, norm_obs: Tensor, q_action: Tensor | None, target: Tensor, learning_rate: float
     ) -> Fits:
         """Fit Q and V; from now on Q may choose."""
-        config, state = self.config, self.train_state
-        state.returns.update(target)
-        fits = fit_critics(
-            state.regression_of_value(norm_obs),
-            None if q_action is None else state.regression_of_q(norm_obs, q_action),
-            state.returns.normalise(target),
+        config = self.config
+        self.returns.update(target)
+        self.q_trusted = True
+        return fit_critics(
+            self.fit_of_value(norm_obs),
+            None if q_action is None else self.fit_of_q(norm_obs, q_action),
+            self.returns.normalise(target),
             epochs=config.critic_epochs,
             minibatch=config.critic_minibatch,
             min_minibatches=config.min_minibatches,
             learning_rate=learning_rate,
             max_grad_norm=config.max_grad_norm,
-            generator=state.generators["order"],
+            generator=self.generators["order"],
         )
-        self.q_trusted = True
-        return fits
 
     def _distil(self, norm_obs: Tensor, learning_rate: float) -> Distilled:
-        config, state = self.config, self.train_state
+        config = self.config
         if config.distil == "off":
             return Distilled()
         target = distil_target(
-            state.q_net,
-            state.policy,
+            self.q_net,
+            self.policy,
             norm_obs,
             suggestions=config.distil_suggestions,
             action_mode="clip",
-            generator=state.generators["q"],
+            generator=self.generators["q"],
         )
         return distil_policy(
-            state.policy,
-            state.adam["distil"],
+            self.policy,
+            self.adam["distil"],
             norm_obs,
             target,
             steps=config.distil_steps,
@@ -211,15 +171,15 @@ class OnPolicy:
             kl_bound=config.distil_kl,
             learning_rate=learning_rate,
             max_grad_norm=config.max_grad_norm,
-            generator=state.generators["q"],
+            generator=self.generators["q"],
         )
 
     def _improve(
         self, batch: Batch, norm_obs: Tensor, advantage: Tensor, old_mean: Tensor, rate: float
     ) -> PolicyChange:
         """Follow the policy gradient; the ratio and the divergence are from before equation 6."""
-        config, state = self.config, self.train_state
-        old_log_std = state.policy.log_std.detach().clone()  # which equation 6 does not move
+        config = self.config
+        old_log_std = self.policy.log_std.detach().clone()  # which equation 6 does not move
         log_prob = log_density(old_mean, old_log_std, batch.suggestion)
         weight = importance(log_prob, batch.log_prob, config.weight_limit)
         data = PolicyData(
@@ -231,9 +191,9 @@ class OnPolicy:
             mean=old_mean,
             log_std=old_log_std,
         )
-        return improve(
-            state.policy,
-            state.adam["policy"],
+        change = improve(
+            self.policy,
+            self.adam["policy"],
             data,
             epochs=config.policy_epochs,
             minibatch=config.policy_minibatch,
@@ -243,5 +203,6 @@ class OnPolicy:
             entropy_weight=config.entropy_weight,
             learning_rate=rate,
             max_grad_norm=config.max_grad_norm,
-            generator=state.generators["order"],
+            generator=self.generators["order"],
         )
+        return change._replace(advantage_std=float(advantage.std(correction=0)))

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.body import Body
-from a2s.learner.on_policy.authors import fit_threshold
+from a2s.learner.on_policy.authors import fit as fit_as_authors
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.critics import Fits, Regression, fit_critics, num_minibatches
 
@@ -17,7 +17,7 @@ def job_of(seed: int = 0) -> tuple[Regression, Tensor]:
     inputs = torch.randn(96, 3, generator=generator)
     target = inputs @ torch.tensor([1.0, -2.0, 0.5]) + 0.7
     body = Body((3, 1), hyper=OnPolicyConfig(), output_gain=1.0, generator=generator)
-    return Regression(body=body, inputs=inputs, optimiser=Adam(FlatParameters(body))), target
+    return Regression(body, Adam(FlatParameters(body)), inputs), target
 
 
 def predict(job: Regression) -> Tensor:
@@ -48,7 +48,7 @@ def test_passes_learn_a_linear_target() -> None:
     job, target = job_of()
     found = fit(job, None, target, 100)
     assert found.value_loss < 1e-3
-    assert (found.value_steps, found.q_steps, found.q_loss) == (300, 0, 0.0)
+    assert (found.value_fit_steps, found.q_fit_steps, found.q_loss) == (300, 0, 0.0)
 
 
 def test_loss_is_the_mean_squared_error_of_the_last_pass() -> None:
@@ -85,5 +85,5 @@ def test_the_authors_fit_stops_when_the_mean_loss_is_low(size: float, steps: int
     """One step more than 100 where it is below 100, all of them where it never is."""
     job, target = job_of()
     generator = torch.Generator().manual_seed(0)
-    _, made = fit_threshold(job, size * target, 30, 1e-3, generator)
+    _, made = fit_as_authors(job, size * target, 30, 1e-3, generator)
     assert made == steps

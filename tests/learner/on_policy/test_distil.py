@@ -91,7 +91,7 @@ def test_steps_end_at_the_bound(bound: float, all_steps: bool) -> None:
         generator=torch.Generator().manual_seed(0),
     )
     moved = float((policy(obs) - before).square().sum(1).mean().detach() / (2 * 0.25))
-    assert (distilled.steps == 50) is all_steps
+    assert (distilled.distil_steps == 50) is all_steps
     assert (moved < 0.05) is not all_steps
     assert moved > 0.01
     assert policy.log_std.tolist() == log_std

@@ -201,7 +201,7 @@ def test_policy_moves_to_what_was_better(epochs: int, minibatch: int) -> None:
     with torch.no_grad():
         moved = (policy(data.obs) - data.mean).mean(0)
     assert float(moved[0]) > (0.01 if epochs > 1 else 1e-4)
-    assert found.epochs <= epochs
+    assert found.policy_epochs <= epochs
     assert found.kl > 0.0
 
 
@@ -209,7 +209,7 @@ def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
     """A pass is finished, then no other begins."""
     policy = make_policy()
     found = improved(policy, data_of(policy), 3e-3, kl_stop=0.005)
-    assert found.epochs < 10
+    assert found.policy_epochs < 10
     assert found.kl > 0.005
 
 

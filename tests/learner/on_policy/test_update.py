@@ -233,8 +233,8 @@ def test_authors_first_update_already_runs_at_half_as_much_again() -> None:
     algorithm = make_preset("authors")
     stats = algorithm.update(play(algorithm, 0))
     assert stats.learning_rate == stats.critic_learning_rate == pytest.approx(1.5e-3)
-    algorithm.train_state.recover(networks_only=True)
-    assert algorithm.train_state.learning_rate.at(0.0) == pytest.approx(3e-4)
+    algorithm.recover(networks_only=True)
+    assert algorithm.learning_rate.at(0.0) == pytest.approx(3e-4)
 
 
 def test_score_step_is_one_step_up_equation_4() -> None:
@@ -248,7 +248,7 @@ def test_score_step_is_one_step_up_equation_4() -> None:
     wanted = parameters.grad.clone()
     change = score_step(policy, Adam(parameters), obs, action, advantage, 1e-3)
     torch.testing.assert_close(parameters.grad, wanted)
-    assert change.loss == pytest.approx(float(expected.detach()))
+    assert change.policy_loss == pytest.approx(float(expected.detach()))
     apart = (policy(obs) - before).detach() / 0.5
     assert change.kl == pytest.approx(float(0.5 * apart.square().mean()), rel=1e-4)
 
@@ -307,17 +307,17 @@ def test_the_mean_action_moves_to_where_the_reward_is(preset: str, options: dict
 
 def mean_action(algorithm: OnPolicy | Authors, obs: torch.Tensor) -> torch.Tensor:
     """Of the policy, ``[N, A]``."""
-    state = algorithm.train_state
     with torch.no_grad():
-        return state.policy(state.normaliser(obs))  # type: ignore[no-any-return]
+        mean: torch.Tensor = algorithm.policy(algorithm.normaliser(obs))
+    return mean
 
 
 def test_the_unit_of_observations_does_not_matter() -> None:
     """A millionth, about: the same weights to the bit."""
     one, other, unit = make(), make(), 2.0**-20
     seen = torch.randn(50, D)
-    one.train_state.normaliser.update(seen)  # before the first observation there is no unit
-    other.train_state.normaliser.update(unit * seen)
+    one.normaliser.update(seen)  # before the first observation there is no unit
+    other.normaliser.update(unit * seen)
     for number in range(3):
         batch = play(one, number)
         one.update(batch)
