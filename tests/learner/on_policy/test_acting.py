@@ -15,7 +15,6 @@ from a2s.learner.on_policy.acting import (
     as_q_sees,
     select_hard,
     select_soft,
-    suggest,
 )
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.protocol.errors import A2SError
@@ -41,13 +40,6 @@ def make(mode: SuggesterMode, action_mode: ActionMode = "clip", k: int = 6) -> S
     )
 
 
-def test_suggestions_are_mean_plus_scaled_noise() -> None:
-    """Zero noise is the mean."""
-    mean, std = torch.tensor([[1.0, -1.0]]), torch.tensor([0.5, 2.0])
-    normal = torch.tensor([[[0.0, 0.0], [1.0, -1.0]]])
-    assert suggest(mean, std, normal).tolist() == [[[1.0, -1.0], [1.5, -3.0]]]
-
-
 def test_q_sees_clipped_suggestions_in_clip_mode_only() -> None:
     """The environment executes the clipped one."""
     suggestion = torch.tensor([[1.5, -3.0, 0.2]])
@@ -60,6 +52,8 @@ def test_among_equals_the_first_is_picked() -> None:
     q_value = torch.tensor([[1.0, 3.0, 3.0], [2.0, 2.0, 2.0], [0.0, 1.0, 5.0]])
     assert select_hard(q_value).tolist() == [1, 0, 2]
     assert select_soft(q_value, torch.zeros(3, 3), 1.0).tolist() == [1, 0, 2]
+    gumbel = torch.tensor([[0.1, 2.0, 0.3]])  # a spread of 0 leaves it to the noise
+    assert select_soft(torch.full((1, 3), 7.0), gumbel, 1.0).tolist() == [1]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -96,12 +90,6 @@ def test_soft_selection_ignores_the_scale_and_origin_of_q(
     gumbel = torch.randn(5, 6, generator=generator, dtype=torch.float64)
     before = select_soft(q_value, gumbel, 1.0)
     assert before.tolist() == select_soft(q_value * scale + shift, gumbel, 1.0).tolist()
-
-
-def test_soft_selection_of_equal_scores_is_left_to_the_noise() -> None:
-    """A spread of 0 divides nothing."""
-    gumbel = torch.tensor([[0.1, 2.0, 0.3]])
-    assert select_soft(torch.full((1, 3), 7.0), gumbel, 1.0).tolist() == [1]
 
 
 def test_canonical_interval_spans_the_bounds() -> None:

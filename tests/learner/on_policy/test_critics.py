@@ -6,7 +6,6 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam, FlatParameters
 from a2s.learner.networks.body import Body
-from a2s.learner.on_policy.authors import fit as fit_as_authors
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.critics import Fits, Regression, fit_critics, num_minibatches
 
@@ -78,12 +77,3 @@ def test_minibatches_are_nearly_equal(
 ) -> None:
     """A short last minibatch would count as much as a whole one."""
     assert num_minibatches(rows, minibatch, at_least) == expected
-
-
-@pytest.mark.parametrize(("size", "steps"), [(1.0, 101), (1e3, 130)])
-def test_the_authors_fit_stops_when_the_mean_loss_is_low(size: float, steps: int) -> None:
-    """One step more than 100 where it is below 100, all of them where it never is."""
-    job, target = job_of()
-    generator = torch.Generator().manual_seed(0)
-    _, made = fit_as_authors(job, size * target, 30, 1e-3, generator)
-    assert made == steps

@@ -39,24 +39,17 @@ def test_rate_stays_between_its_bounds() -> None:
     assert seen == [3e-3, 1e-5]
 
 
-def test_recovery_divides_the_rate_and_forgets_the_divergence() -> None:
-    """The next update neither raises nor lowers it."""
-    rate = make("kl")
-    rate.last_kl = 1.0
-    rate.after_recovery()
-    assert rate.at(0.0) == pytest.approx(1.5e-4)
-    rate.adapt()
-    assert rate.at(0.0) == pytest.approx(1.5e-4)
-
-
-def test_constant_rate_comes_back_after_a_recovery() -> None:
-    """By factors of 1.5, and no further."""
-    rate, rates = make("constant"), []
-    rate.after_recovery()
-    for _ in range(3):
-        rate.adapt()
-        rates.append(rate.at(0.9))
-    assert rates == pytest.approx([2.25e-4, 3e-4, 3e-4])
+def test_rate_after_a_recovery() -> None:
+    """The rule ``kl`` forgets the divergence; a constant one comes back by factors of 1.5."""
+    for rule, expected in (("kl", [1.5e-4] * 3), ("constant", [2.25e-4, 3e-4, 3e-4])):
+        rate, rates = make(rule), []
+        rate.last_kl = 1.0
+        rate.after_recovery()
+        assert rate.at(0.9) == pytest.approx(1.5e-4)
+        for _ in range(3):
+            rate.adapt()
+            rates.append(rate.at(0.9))
+        assert rates == pytest.approx(expected)
 
 
 def test_annealed_rate_ends_at_zero() -> None:

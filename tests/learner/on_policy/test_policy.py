@@ -62,28 +62,6 @@ def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: f
         assert float(steepness) == pytest.approx(weight * slope)
 
 
-def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
-    """Whatever the scale of rewards; a weight of 2 counts a step twice."""
-    advantage = torch.randn(100) * 7 + 3
-    found = normalised(advantage, torch.ones(100))
-    assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
-    assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
-    twice = torch.cat([torch.full((50,), 4 / 3), torch.full((50,), 2 / 3)])
-    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150))
-    torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
-
-
-def test_advantages_of_any_unit_are_normalised_alike_and_equal_ones_are_0() -> None:
-    """Of equal ones a tenth is no float, so that their mean is not quite what they are."""
-    advantage, weight = torch.randn(100), torch.rand(100) + 0.5
-    expected = normalised(advantage, weight)
-    for unit in (2.0**-60, 2.0**-30, 2.0**40):
-        torch.testing.assert_close(normalised(unit * advantage, weight), expected)
-    for same in (0.0, 0.1):
-        found = normalised(torch.full((100,), same), torch.ones(100))
-        torch.testing.assert_close(found, torch.zeros(100))
-
-
 def test_weights_undo_the_selection_up_to_their_limit() -> None:
     """They have mean 1; without selection, or without a limit, they are 1."""
     drawn = torch.tensor([-1.0, -2.0, -3.0])
@@ -93,6 +71,21 @@ def test_weights_undo_the_selection_up_to_their_limit() -> None:
     )
     assert torch.equal(importance(drawn, drawn, 3.0), torch.ones(3))
     assert torch.equal(importance(drawn, picked, 0.0), torch.ones(3))
+
+
+def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
+    """In any unit; a weight of 2 counts a step twice; equal ones are 0, though .1 is no float."""
+    advantage, ones = torch.randn(100) * 7 + 3, torch.ones(100)
+    found = normalised(advantage, ones)
+    assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
+    assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
+    twice = torch.cat([torch.full((50,), 4 / 3), torch.full((50,), 2 / 3)])
+    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150))
+    torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
+    for unit in (2.0**-60, 2.0**-30, 2.0**40):
+        torch.testing.assert_close(normalised(unit * advantage, ones), found)
+    for same in (0.0, 0.1):
+        torch.testing.assert_close(normalised(same * ones, ones), torch.zeros(100))
 
 
 @pytest.mark.parametrize("weighed", [True, False])
@@ -218,6 +211,5 @@ def test_std_is_held_at_its_floor() -> None:
     policy = make_policy(std_floor=0.499)
     data = data_of(policy)
     narrow = -(data.action - data.mean).square().sum(1)
-    narrower = dataclasses.replace(data, advantage=normalised(narrow, data.weight))
-    improved(policy, narrower, 1e-2)
+    improved(policy, dataclasses.replace(data, advantage=normalised(narrow, data.weight)), 1e-2)
     torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))

@@ -1,4 +1,4 @@
-"""Whole updates, of the default and of the paper to the letter."""
+"""Whole updates, of every preset."""
 
 import dataclasses
 import json
@@ -7,84 +7,21 @@ from typing import Any
 
 import pytest
 import torch
+from on_policy_learners import (
+    BOUNDS,
+    D,
+    crash,
+    fingerprint,
+    make,
+    make_a2c,
+    make_preset,
+    mean_action,
+    play,
+)
 
-from a2s.learner.networks.adam import Adam, FlatParameters
-from a2s.learner.networks.networks import Policy
-from a2s.learner.on_policy.authors import Authors, score_step
-from a2s.learner.on_policy.authors_config import AuthorsConfig
-from a2s.learner.on_policy.batch import Batch
-from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.policy import log_density
 from a2s.learner.on_policy.presets import PRESETS
-from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
 from a2s.protocol.errors import A2SError
-
-D, A = 4, 2
-SIZES = {"policy_sizes": (16,), "value_sizes": (16,), "q_sizes": (16,)}
-BOUNDS = -torch.ones(A), torch.ones(A)
-
-
-def make(algo: str = "a2s", seed: int = 7, **options: Any) -> OnPolicy:
-    """Build a small learner."""
-    values = SIZES | {"critic_epochs": 2, "critic_minibatch": 32} | options
-    config = OnPolicyConfig(**values)
-    return OnPolicy(D, A, config.as_a2c() if algo == "a2c" else config, seed)
-
-
-def make_preset(
-    preset: str, algo: str = "a2s", seed: int = 7, **options: Any
-) -> OnPolicy | Authors:
-    """Build a small learner of any preset."""
-    config = PRESETS[preset].config
-    if isinstance(config, OnPolicyConfig):
-        return make(algo, seed, **options)
-    config = dataclasses.replace(config, **(SIZES | options))
-    return Authors(D, A, config.as_a2c() if algo == "a2c" else config, seed)
-
-
-def play(
-    algorithm: OnPolicy | Authors,
-    seed: int,
-    score: float = 10.0,
-    version: int = 0,
-    unit: float | None = None,
-) -> Batch:
-    """A batch of four segments whose reward is the larger the nearer the action is to .5.
-
-    With a ``unit`` of observations: to half the sign of the first of them.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    size = 1.0 if unit is None else unit
-    obs = size * torch.randn(80, D, generator=generator)
-    suggester = algorithm.suggester(*BOUNDS)
-    normal = torch.randn(80, suggester.suggestions, A, generator=generator)
-    gumbel = torch.randn(80, suggester.suggestions, generator=generator)
-    with torch.no_grad():
-        choice = suggester(obs, normal, gumbel)
-    wanted = 0.5 if unit is None else 0.5 * obs[:, :1].sign()
-    return Batch(
-        obs=obs,
-        suggestion=choice.suggestion,
-        log_prob=choice.log_prob,
-        reward=-(choice.action - wanted).square().sum(1),
-        lengths=torch.tensor([30, 10, 20, 20]),
-        weights_version=torch.full((4,), version),
-        final_obs=size * torch.randn(4, D, generator=generator),
-        terminated=torch.tensor([True, False, False, True]),
-        truncated=torch.tensor([False, True, False, False]),
-        episode_returns=torch.full((3,), score),
-    )
-
-
-def fingerprint(algorithm: OnPolicy | Authors, *, without: str = "-") -> dict[str, list[float]]:
-    """Write out every tensor of the state, but those of a prefix."""
-    tensors, _ = algorithm.state()
-    return {
-        name: tensor.flatten().tolist()
-        for name, tensor in tensors.items()
-        if not name.startswith(without)
-    }
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -92,7 +29,7 @@ def test_a2c_is_a2s_with_one_suggestion_to_the_bit(preset: str) -> None:
     """There is one path through the code."""
     options: dict[str, Any] = {"suggestions": 1, "distil": "off", "recovery": "off"}
     options |= {} if preset == "modern" else {"advantage": "return-v"}
-    a2c, a2s = make_preset(preset, "a2c"), make_preset(preset, "a2s", **options)
+    a2c, a2s = make_a2c(preset), make_preset(preset, **options)
     for number in range(3):
         batch = play(a2c, number)
         assert a2c.update(batch) == a2s.update(batch)
@@ -102,7 +39,7 @@ def test_a2c_is_a2s_with_one_suggestion_to_the_bit(preset: str) -> None:
 @pytest.mark.parametrize("preset", ["modern", "authors"])
 def test_fitting_q_touches_neither_policy_nor_value(preset: str) -> None:
     """On the same batches A2S without eq. 5 and 6 has the policy and value of A2C, to the bit."""
-    a2c = make_preset(preset, "a2c")
+    a2c = make_a2c(preset)
     a2s = make_preset(preset, distil="off", recovery="off")
     for number in range(3):
         batch = play(a2c, number)
@@ -178,18 +115,6 @@ def assert_restored(algorithm: OnPolicy, before: dict[str, list[float]]) -> None
     }
 
 
-def crash(algorithm: OnPolicy | Authors) -> tuple[dict[str, list[float]], UpdateStats]:
-    """A good batch made by version 4, some learning, then a crash that must recover."""
-    best = fingerprint(algorithm)
-    algorithm.update(play(algorithm, 0, 100.0, version=4))
-    algorithm.update(play(algorithm, 1, 99.0, version=5))
-    for number in range(2, 40):
-        stats = algorithm.update(play(algorithm, number, -1000.0, version=number + 4))
-        if stats.recovered:
-            return best, stats
-    raise AssertionError("never recovered")
-
-
 def test_recovery_restores_everything_and_learns_nothing() -> None:
     """Momentum and statistics led to the crash too."""
     algorithm = make(recovery_bias=0.0, recovery_episodes=1)
@@ -215,44 +140,6 @@ def test_recovery_restores_the_networks_that_made_the_best_batch() -> None:
     assert_restored(algorithm, made_it)
 
 
-def test_authors_recovery_restores_the_networks_and_still_learns() -> None:
-    """Their equation 6 and gradient follow, with smaller steps; the wanted divergence falls."""
-    algorithm = make_preset("authors", recovery_bias=0.0)
-    best, stats = crash(algorithm)
-    after = fingerprint(algorithm)
-    assert after["q"] == best["q"]
-    assert after["value"] == best["value"]
-    assert after["adam.q.first"] != best["adam.q.first"]
-    assert after["policy"] != best["policy"]
-    assert (stats.q_fit_steps, stats.distil_steps, stats.policy_epochs) == (0, 50, 1)
-    assert stats.kl_target == 1e-3 / 1.1
-
-
-def test_authors_first_update_already_runs_at_half_as_much_again() -> None:
-    """The divergence is 0 before anything was measured; a recovery divides by 5."""
-    algorithm = make_preset("authors")
-    stats = algorithm.update(play(algorithm, 0))
-    assert stats.learning_rate == stats.critic_learning_rate == pytest.approx(1.5e-3)
-    algorithm.recover(networks_only=True)
-    assert algorithm.learning_rate.at(0.0) == pytest.approx(3e-4)
-
-
-def test_score_step_is_one_step_up_equation_4() -> None:
-    """Its gradient is that of autograd; the divergence is a mean over the dimensions."""
-    policy = Policy(D, A, AuthorsConfig(), torch.Generator().manual_seed(0))
-    parameters, obs = FlatParameters(policy), torch.randn(50, D)
-    before = policy(obs)
-    action, advantage = before.detach() + 0.5 * torch.randn(50, A), torch.randn(50)
-    expected = -(advantage * log_density(before, policy.log_std, action)).mean()
-    expected.backward()  # type: ignore[no-untyped-call]
-    wanted = parameters.grad.clone()
-    change = score_step(policy, Adam(parameters), obs, action, advantage, 1e-3)
-    torch.testing.assert_close(parameters.grad, wanted)
-    assert change.policy_loss == pytest.approx(float(expected.detach()))
-    apart = (policy(obs) - before).detach() / 0.5
-    assert change.kl == pytest.approx(float(0.5 * apart.square().mean()), rel=1e-4)
-
-
 def test_selection_is_annealed_to_indifference() -> None:
     """Halfway the temperature is twice that of the beginning."""
     algorithm, stays = make(), make(anneal_selection=False)
@@ -266,7 +153,7 @@ def test_suggester_has_q_only_when_q_may_choose() -> None:
     """An untrained Q would prefer an arbitrary direction; the authors do not mind."""
     untrained = make().suggester(*BOUNDS)
     assert (untrained.mode, untrained.suggestions, untrained.q_net) == ("first", 1, None)
-    algorithm, a2c = make(), make("a2c")
+    algorithm, a2c = make(), make_a2c()
     for each in (algorithm, a2c):
         each.update(play(each, 0))
     trained = algorithm.suggester(*BOUNDS)
@@ -303,13 +190,6 @@ def test_the_mean_action_moves_to_where_the_reward_is(preset: str, options: dict
         algorithm.update(play(algorithm, number))
     obs = torch.randn(200, D, generator=torch.Generator().manual_seed(0))
     assert float((mean_action(algorithm, obs) - 0.5).abs().mean()) < 0.25
-
-
-def mean_action(algorithm: OnPolicy | Authors, obs: torch.Tensor) -> torch.Tensor:
-    """Of the policy, ``[N, A]``."""
-    with torch.no_grad():
-        mean: torch.Tensor = algorithm.policy(algorithm.normaliser(obs))
-    return mean
 
 
 def test_the_unit_of_observations_does_not_matter() -> None:
