@@ -43,8 +43,7 @@ class Suggester(nn.Module):
         normaliser: Of the observations.
         policy: Suggests.
         q_net: Picks; ``None`` in the mode ``first``.
-        action_low: Of the environment, ``[A]``.
-        action_high: Of the environment, ``[A]``.
+        action_low: Of the environment, ``[A]``, as ``action_high``.
         mode: ``first``: the only suggestion, no Q inside (A2C, or Q is not trained yet: the argmax
             of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``.
         suggestions: K; 1 in the mode ``first``.
@@ -89,12 +88,9 @@ class Suggester(nn.Module):
         self.register_buffer("action_high", action_high.float())
 
     def forward(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
-        """Choose actions.
+        """Choose actions for observations as the environment gave them, float32 ``[B, D]``.
 
-        Args:
-            obs: As the environment gave them, float32 ``[B, D]``.
-            normal: Standard normal noise, float32 ``[B, K, A]``.
-            gumbel: Standard Gumbel noise, float32 ``[B, K]``; needed in the mode ``soft`` alone.
+        Standard normal noise is ``[B, K, A]``; standard Gumbel noise ``[B, K]``, only for ``soft``.
 
         Raises:
             A2SError: A score of Q is not finite.

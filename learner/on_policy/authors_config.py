@@ -68,11 +68,7 @@ class AuthorsConfig(Settings):
     )
     learning_rate: float = setting(0.001, "At first", "authors' code", low=1e-12, high=1000)
     kl_target: float = setting(
-        0.001,
-        "Wanted KL divergence of one policy gradient, nats, mean over action dimensions",
-        "paper, table 3",
-        low=1e-12,
-        high=1e6,
+        0.001, "Wanted KL, nats, mean over dimensions", "paper, table 3", low=1e-12, high=1e6
     )
 
     @property

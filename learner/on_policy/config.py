@@ -37,11 +37,7 @@ class OnPolicyConfig(Settings):
         "probe on Hopper: a hard argmax leaves the mean behind",
     )
     selection_temperature: float = setting(
-        3.0,
-        "Of soft selection, in units of Q's standard deviation over the K suggestions",
-        "measured: at 1 the weights leave a third of the batch, adr/0006",
-        low=1e-6,
-        high=1e6,
+        3.0, "Of soft selection, in deviations of Q over the K", "adr/0006", low=1e-6, high=1e6
     )
     anneal_selection: bool = setting(
         True,
@@ -64,20 +60,16 @@ class OnPolicyConfig(Settings):
     gamma: float = setting(0.99, "Discount per step", "PPO paper, table 3", low=1e-6, high=1)
     gae_lambda: float = setting(
         0.95,
-        "Lambda of the advantages, and of the targets of Q and V; 1: discounted returns",
+        "Of advantages and targets; 1: whole returns",
         "PPO paper, table 3",
         low=0e0,
         high=1,
     )
     norm_obs: bool = setting(
-        True,
-        "Observations are shifted and scaled by their running mean and standard deviation",
-        "Andrychowicz et al. 2021",
+        True, "Observations have running mean 0 and deviation 1", "Andrychowicz et al. 2021"
     )
     norm_return: bool = setting(
-        True,
-        "Targets of Q and V are shifted and scaled by running statistics of the targets",
-        "Andrychowicz et al. 2021",
+        True, "Targets of Q and V have running mean 0, deviation 1", "Andrychowicz et al. 2021"
     )
     return_window_steps: int = setting(
         20480, "Steps that the statistics of targets remember, about", "ten batches", low=1
@@ -90,7 +82,7 @@ class OnPolicyConfig(Settings):
     )
     std: float = setting(
         0.5,
-        "Standard deviation of the policy at first; 1 is half the action range",
+        "Policy's deviation at first; 1: half the range",
         "paper, table 3",
         low=1e-6,
         high=1e6,
@@ -128,15 +120,12 @@ class OnPolicyConfig(Settings):
         low=1,
     )
     policy_minibatch: int = setting(
-        256,
-        "Steps in a minibatch: policy; 0: the whole batch",
-        "measured: 64 and 128 no better on HalfCheetah, and slower",
-        low=0,
+        256, "Steps in a minibatch: policy; 0: the batch", "64 measured no better, slower", low=0
     )
     kl_stop: float = setting(
         0.05,
-        "The policy gradient ends after a pass that finds this KL divergence, joint, nats",
-        "bounds the whole update, equation 6 included",
+        "The pass that finds this joint KL, nats, is the last",
+        "bounds the whole update",
         low=0e0,
     )
     distil: Distil = setting(
@@ -158,20 +147,13 @@ class OnPolicyConfig(Settings):
         "equation 5 needs positive returns",
     )
     recovery_bias: float = setting(
-        0.5,
-        "Alpha: P(recover) = clip(gap - alpha, 0, 1), so a larger one means fewer recoveries",
-        "ours, to be tuned",
-        low=0e0,
-        high=1e6,
+        0.5, "Alpha: a larger one means fewer recoveries", "ours, to be tuned", low=0e0, high=1e6
     )
     recovery_statistic: ReturnStatistic = setting(
         "mean", "``mean`` or ``max`` of episode returns", "one lucky episode sets a lasting maximum"
     )
     recovery_episodes: int = setting(
-        50,
-        "Latest episodes that are compared; 0: those that ended in the batch",
-        "measured: the mean of 10 falls to half by chance, adr/0006",
-        low=0,
+        50, "Latest episodes compared; 0: the batch's", "10 halve by chance, adr/0006", low=0
     )
     recovery_cool_down: int = setting(
         3, "Updates after a recovery in which there is no other", "ours, to be tuned", low=0

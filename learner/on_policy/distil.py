@@ -43,13 +43,7 @@ def distil_target(
 ) -> Tensor:
     """Pick the best of K fresh suggestions for every observation, as Q sees it.
 
-    Args:
-        q_net: Already updated.
-        policy: Suggests.
-        norm_obs: ``[N, D]``.
-        suggestions: K.
-        action_mode: What Q sees.
-        generator: Draws the suggestions.
+    Q is already updated; observations are ``[N, D]``.
 
     Returns:
         mu^Q of equation 6, ``[N, A]``.
@@ -85,17 +79,9 @@ def distil_policy(
 ) -> Distilled:
     """Regress the mean in minibatch steps of its own, until a minibatch has moved too far.
 
-    Args:
-        policy: Changed in place.
-        optimiser: Of equation 6 alone.
-        norm_obs: ``[N, D]``.
-        target: From `distil_target`, ``[N, A]``.
-        steps: At most.
-        minibatch: Rows of one step, drawn with replacement.
-        kl_bound: Joint KL divergence from the policy before, nats.
-        learning_rate: Of Adam.
-        max_grad_norm: 0: not limited.
-        generator: Draws the rows.
+    The target is that of `distil_target`; rows are drawn with replacement. The bound is on the
+    joint KL divergence from the policy before, nats. The optimiser is of equation 6 alone;
+    ``max_grad_norm`` 0: not limited.
     """
     log_std = policy.log_std.detach().clone()
     with torch.no_grad():

@@ -12,13 +12,8 @@ class LearningRate:
     multiplies by 1.5 when it moved less than half of it. The other two return by factors of 1.5
     to their first value after a recovery has cut it.
 
-    Args:
-        rule: Which.
-        first: Its first value.
-        kl_target: Wanted KL divergence of an update, nats; the last one measured is ``last_kl``.
-        recovery_divisor: A recovery divides the rate by this.
-        low: Least rate after a recovery and of the rule ``kl``.
-        high: Greatest rate of the rule ``kl``.
+    ``kl_target`` and ``last_kl`` are the wanted KL divergence of an update and the last one, nats.
+    ``low`` bounds the rule ``kl`` and what a recovery leaves, ``high`` the rule ``kl``.
 
     Source: section 4.1.1 of the paper ("adapt the learning rate to keep the KL-divergence around
     a desired value"), factors as in the authors' code.

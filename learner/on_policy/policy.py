@@ -130,19 +130,8 @@ def improve(
 ) -> PolicyChange:
     """Pass over the batch until the passes are made or the policy has moved far enough.
 
-    Args:
-        policy: Changed in place.
-        optimiser: Of the policy gradient.
-        data: The batch.
-        epochs: Passes at most.
-        minibatch: Steps in one, about; 0: the whole batch.
-        min_minibatches: Of a pass.
-        kl_stop: No pass begins when the KL divergence is above this, joint, nats.
-        clip_ratio: Epsilon of `clipped_loss`.
-        entropy_weight: Of the entropy bonus.
-        learning_rate: Of Adam.
-        max_grad_norm: 0: not limited.
-        generator: Draws the order, unless the whole batch is one step.
+    No pass begins when the KL divergence, joint, is above ``kl_stop`` nats. A ``minibatch`` of 0 is
+    the whole batch, in its order; ``max_grad_norm`` 0: not limited.
     """
     count = num_minibatches(len(data.obs), minibatch, min_minibatches)
     total, kl, passes = torch.zeros(()), 0.0, 0

@@ -28,5 +28,5 @@ _PAPER = replace(
 PRESETS = {
     "modern": Preset(OnPolicyConfig(), ""),
     "authors": Preset(AuthorsConfig(), ""),
-    "paper": Preset(_PAPER, "paper, algorithm 1, section 4.1.1, equation 5"),
+    "paper": Preset(_PAPER, "text of the paper"),
 }

@@ -51,12 +51,7 @@ def lambda_estimates(
 
     With ``lam = 1`` the target is the discounted return, bootstrapped where a segment was cut.
 
-    Args:
-        batch: Gives rewards and segments.
-        value: V of every observation before its update, ``[N]``.
-        after: From `bootstrap`, ``[S]``.
-        gamma: Discount per step.
-        lam: 0..1.
+    ``value`` is V of every observation before its update, ``[N]``, ``after`` from `bootstrap`.
 
     Source: r^gamma of section 4.1 of the paper for ``lam = 1``; else Schulman et al. 2016, eq. 16.
     """

@@ -20,20 +20,13 @@ class Targets:
     """Targets and advantages, and how well the critics foresaw them.
 
     The whole batch is new to Q and V, so what they explain of it is not memory.
-
-    Attributes:
-        advantage: Of the executed suggestions, in returns, ``[N]``.
-        target: What Q and V are to learn, in returns, ``[N]``.
-        q_explained_variance: Of the target by Q; 0 where Q is not used.
-        q_action_correlation: Of ``Q - V`` and ``target - V``; 0 where Q is not used.
-        value_explained_variance: Of the target by V.
     """
 
-    advantage: Tensor
-    target: Tensor
-    q_explained_variance: float
-    q_action_correlation: float
-    value_explained_variance: float
+    advantage: Tensor  # of the executed suggestions, in returns, [N]
+    target: Tensor  # what Q and V are to learn, in returns, [N]
+    q_explained_variance: float  # of the target by Q; 0 where Q is not used
+    q_action_correlation: float  # of Q - V and target - V; 0 where Q is not used
+    value_explained_variance: float  # of the target by V
 
 
 @torch.no_grad()
