@@ -1,10 +1,13 @@
 """The policy's learning rate: constant, annealed, or following the KL divergence."""
 
+from dataclasses import dataclass, field
+
 from a2s.learner.on_policy.config import LearningRateRule
 
 FACTOR = 1.5
 
 
+@dataclass(slots=True, kw_only=True)
 class LearningRate:
     """The learning rate, and what it is adapted to.
 
@@ -12,39 +15,33 @@ class LearningRate:
     multiplies by 1.5 when it moved less than half of it. The other two return by factors of 1.5
     to their first value after a recovery has cut it.
 
-    ``kl_target`` and ``last_kl`` are the wanted KL divergence of an update and the last one, nats.
-    ``low`` bounds the rule ``kl`` and what a recovery leaves, ``high`` the rule ``kl``.
-
     Source: section 4.1.1 of the paper ("adapt the learning rate to keep the KL-divergence around
     a desired value"), factors as in the authors' code.
     """
 
-    def __init__(
-        self,
-        *,
-        rule: LearningRateRule,
-        first: float,
-        kl_target: float,
-        recovery_divisor: float,
-        low: float,
-        high: float,
-    ) -> None:
-        self._rule = rule
-        self._first = self._now = first
-        self._divisor, self._low, self._high = recovery_divisor, low, high
-        self.kl_target = kl_target
-        self.last_kl = 0.0
+    rule: LearningRateRule
+    first: float
+    kl_target: float  # wanted divergence of an update, nats
+    recovery_divisor: float
+    low: float  # least rate after a recovery and of the rule `kl`
+    high: float  # greatest rate of the rule `kl`
+    last_kl: float = field(default=0.0, init=False)  # divergence of the last update, nats
+    _now: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin with the first rate."""
+        self._now = self.first
 
     def adapt(self) -> None:
         """Apply the rule to the last divergence measured."""
-        if self._rule != "kl":
-            self._now = min(self._now * FACTOR, self._first)
+        if self.rule != "kl":
+            self._now = min(self._now * FACTOR, self.first)
             return
         if self.last_kl > 2.0 * self.kl_target:
             self._now /= FACTOR
         elif self.last_kl < 0.5 * self.kl_target:
             self._now *= FACTOR
-        self._now = min(max(self._now, self._low), self._high)
+        self._now = min(max(self._now, self.low), self.high)
 
     def at(self, progress: float) -> float:
         """The learning rate when a fraction of the run, 0..1, is done."""
@@ -52,11 +49,11 @@ class LearningRate:
 
     def left(self, progress: float) -> float:
         """What annealing leaves of any learning rate."""
-        return 1.0 - progress if self._rule == "anneal" else 1.0
+        return 1.0 - progress if self.rule == "anneal" else 1.0
 
     def after_recovery(self) -> None:
         """Step more carefully, and forget the divergence of the failed update."""
-        self._now = max(self._now / self._divisor, self._low)
+        self._now = max(self._now / self.recovery_divisor, self.low)
         self.last_kl = self.kl_target
 
     def state(self) -> dict[str, float]:

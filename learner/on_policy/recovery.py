@@ -6,7 +6,7 @@ in `Recovery._probability`. `state.py` keeps and restores the networks.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from a2s.learner.on_policy.config import RecoveryRule, ReturnStatistic
@@ -47,38 +47,20 @@ def gap_invariant(r: float, r_best: float, r_first: float) -> float:
     return min(max(gap, 0.0), 1.0)
 
 
+@dataclass(slots=True, kw_only=True)
 class Recovery:
-    """Keeps r*, the first r and the last returns; takes the draw as an argument.
+    """Keeps r*, the first r and the last returns; takes the draw as an argument."""
 
-    Args:
-        rule: Equation 5 as the ``authors`` print it, ``invariant`` to scale and sign, or ``off``.
-        bias: Alpha.
-        statistic: Of episode returns.
-        episodes: How many of the last ones; undecided while there are fewer. 0: those of the batch.
-        offset: Added to every return in the test.
-        cool_down: Updates after a recovery in which there is no other.
-    """
-
-    def __init__(
-        self,
-        *,
-        rule: RecoveryRule,
-        bias: float,
-        statistic: ReturnStatistic,
-        episodes: int,
-        offset: float = 0.0,
-        cool_down: int = 0,
-    ) -> None:
-        self.rule = rule
-        self._bias = bias
-        self._statistic = statistic
-        self._episodes = episodes
-        self._offset = offset
-        self._cool_down = cool_down
-        self._returns: list[float] = []
-        self._best: float | None = None
-        self._first: float | None = None
-        self._waiting = 0
+    rule: RecoveryRule
+    bias: float  # alpha
+    statistic: ReturnStatistic
+    episodes: int  # how many of the last ones; undecided while there are fewer. 0: of the batch
+    offset: float = 0.0  # added to every return in the test
+    cool_down: int = 0  # updates after a recovery in which there is no other
+    _returns: list[float] = field(default_factory=list, init=False)
+    _best: float | None = field(default=None, init=False)
+    _first: float | None = field(default=None, init=False)
+    _waiting: int = field(default=0, init=False)
 
     def judge(self, episode_returns: Sequence[float], draw: float) -> RecoveryDecision:
         """Take the undiscounted returns of a batch into account and test equation 5.
@@ -94,15 +76,15 @@ class Recovery:
         return RecoveryDecision(recover, improved, draw, probability, r, best)
 
     def _observe(self, episode_returns: Sequence[float]) -> float | None:
-        shifted = [value + self._offset for value in episode_returns]
-        if self._episodes:
-            self._returns = (self._returns + shifted)[-self._episodes :]
-            if len(self._returns) < self._episodes:
+        shifted = [value + self.offset for value in episode_returns]
+        if self.episodes:
+            self._returns = (self._returns + shifted)[-self.episodes :]
+            if len(self._returns) < self.episodes:
                 return None
             shifted = self._returns
         if not shifted:
             return None
-        return max(shifted) if self._statistic == "max" else sum(shifted) / len(shifted)
+        return max(shifted) if self.statistic == "max" else sum(shifted) / len(shifted)
 
     def _probability(self, r: float | None, best: float | None) -> float:
         if self.rule == "off" or self._waiting or r is None or best is None or r >= best:
@@ -111,7 +93,7 @@ class Recovery:
             gap = gap_as_printed(r, best)
         else:
             gap = gap_invariant(r, best, best if self._first is None else self._first)
-        return min(max(gap - self._bias, 0.0), 1.0)
+        return min(max(gap - self.bias, 0.0), 1.0)
 
     def _remember(self, r: float | None, *, improved: bool, recover: bool) -> None:
         self._waiting = max(self._waiting - 1, 0)
@@ -121,7 +103,7 @@ class Recovery:
         if improved:
             self._best = r
         if recover:
-            self._returns, self._waiting = [], self._cool_down
+            self._returns, self._waiting = [], self.cool_down
 
     def state(self) -> dict[str, Any]:
         """All that changes, fit for JSON."""
