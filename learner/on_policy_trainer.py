@@ -9,8 +9,10 @@ import torch
 
 from a2s.learner.export.on_policy import export
 from a2s.learner.ingest.store import Quota
+from a2s.learner.on_policy.authors import Authors
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.on_policy.update import OnPolicy
 from a2s.learner.run.metrics import LearnerMetrics
@@ -47,15 +49,20 @@ class OnPolicyTrainer:
     def __init__(
         self,
         spaces: Spaces,
-        hyper: OnPolicyConfig,
+        hyper: AnyOnPolicyConfig,
         seed: int,
         metadata: Mapping[str, str],
         metrics: LearnerMetrics,
         saved: Saved | None = None,
     ) -> None:
-        self._hyper, self._metadata, self._metrics = hyper, metadata, metrics
+        self._metadata, self._metrics = metadata, metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
-        self._algorithm = OnPolicy(spaces.obs_size, spaces.action_size, hyper, seed)
+        sizes = spaces.obs_size, spaces.action_size
+        self._algorithm: OnPolicy | Authors = (
+            OnPolicy(*sizes, hyper, seed)
+            if isinstance(hyper, OnPolicyConfig)
+            else Authors(*sizes, hyper, seed)
+        )
         if saved is not None:
             self._algorithm.load(*saved)
         self.max_policy_lag: int | None = hyper.max_policy_lag
@@ -71,10 +78,9 @@ class OnPolicyTrainer:
 
     def quota(self, num_envs: int) -> Quota:
         """An equal share of the next batch for each environment."""
-        hyper = self._hyper
-        steps = hyper.batch_steps_at(self._algorithm.updates)
-        episodes = math.ceil(hyper.min_episodes / num_envs) if hyper.whole_episodes else 0
-        return Quota(steps, max(1, math.ceil(steps / num_envs)), episodes)
+        steps, episodes = self._algorithm.next_batch
+        each = max(1, math.ceil(steps / num_envs)), math.ceil(episodes / num_envs)
+        return Quota(steps, *each)
 
     def store(self, slot: int, segment: Segment) -> None:
         """Put a segment into the batch that is being played."""

@@ -9,14 +9,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from a2s.learner.export.on_policy import export
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.update import OnPolicy
-from a2s.learner.run.config import on_policy
 from a2s.protocol.messages import Notice
 
 PLUGIN = Path(__file__).parent / "plugin"
@@ -45,10 +46,10 @@ def make_graph() -> MakeGraph:
         obs_size: int = 2,
         low: tuple[float, ...] = (-1.0, 0.5),
         high: tuple[float, ...] = (3.0, 0.75),
-        **overrides: object,
+        **overrides: Any,
     ) -> bytes:
-        hyper = on_policy("modern", "a2s", {"warm_up": "none", **overrides})
-        algorithm = OnPolicy(obs_size, len(low), hyper, seed=0)
+        algorithm = OnPolicy(obs_size, len(low), OnPolicyConfig(**overrides), seed=0)
+        algorithm.q_trusted = True
         suggester = algorithm.suggester(torch.tensor(low), torch.tensor(high))
         return export(suggester, 3, {"env": "a2s_test_envs:Count-v0"})
 

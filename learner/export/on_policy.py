@@ -11,8 +11,7 @@ from a2s.learner.export.graph import Nodes, common_numbers, fill, own_metadata
 from a2s.learner.export.network import add_critic, add_network, critic_numbers, network_numbers
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import HALF_LOG_2PI
-from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.on_policy.suggestion import SPREAD_EPS
+from a2s.learner.on_policy.acting import SPREAD_EPS, Suggester
 
 
 class _Kind(NamedTuple):

@@ -1,5 +1,9 @@
-"""Acting, from observation to action in the environment's units, as one module."""
+"""Acting: the policy suggests K actions, Q picks one, the environment gets it in its own units.
 
+Source: algorithm 1 of the paper, "for k = 1, K action suggestions".
+"""
+
+import math
 from typing import Literal
 
 import torch
@@ -9,28 +13,22 @@ from a2s.learner.networks.acting import ActionBounds, Choice
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy, log_density
 from a2s.learner.networks.normaliser import Normaliser
-from a2s.learner.on_policy.config import ActionMode
-from a2s.learner.on_policy.suggestion import (
-    as_q_sees,
-    log_preference,
-    select_first,
-    select_hard,
-    select_soft,
-    suggest,
-    take,
-)
+from a2s.protocol.errors import A2SError
 
+ActionMode = Literal["clip", "raw"]
 SuggesterMode = Literal["first", "hard", "soft"]
+
+SPREAD_EPS = 1e-6
+_MIN_INVERSE_TEMPERATURE = 1e-3
 
 
 class Suggester:
     """Normaliser, policy, K suggestions, Q, selection and action bounds.
 
-    It holds the networks it is given, not copies. One suggester serves every way of acting by
-    its noise:
+    It holds the networks it is given, not copies. Its noise decides how it acts:
 
     ==================================================  ==========================================
-    behaviour                                           ``normal`` and ``gumbel`` as drawn
+    as in training                                      ``normal`` and ``gumbel`` as drawn
     mean action                                         ``normal = 0``
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
@@ -39,14 +37,17 @@ class Suggester:
         normaliser: Of the observations.
         policy: Suggests.
         q_net: Picks; ``None`` in the mode ``first``.
-        action_low: Lowest action of the environment, float32 ``[A]``.
-        action_high: Highest, float32 ``[A]``.
-        mode: ``first``: the only suggestion, no Q inside (A2C, or Q not trained yet); ``hard``;
-            ``soft``.
+        action_low: Of the environment, ``[A]``, as ``action_high``.
+        mode: ``first``: the only suggestion, no Q inside (A2C, or Q is not trained yet: the argmax
+            of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``.
         suggestions: K; 1 in the mode ``first``.
         temperature: Of ``soft``.
-        action_mode: What Q sees. The environment gets the same action either way.
+        action_mode: Whether Q sees suggestions clipped to the bounds, or raw. The environment gets
+            the same action either way.
         q_scale: Returns in one unit of Q's output.
+
+    Raises:
+        ValueError: Mode, Q and K contradict each other.
     """
 
     def __init__(
@@ -76,25 +77,21 @@ class Suggester:
         self.bounds = ActionBounds(action_low, action_high)
 
     def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
-        """Choose actions.
+        """Choose actions for observations as the environment gave them, float32 ``[B, D]``.
 
-        Args:
-            obs: As the environment gave them, float32 ``[B, D]``.
-            normal: Standard normal noise, float32 ``[B, K, A]``.
-            gumbel: Standard Gumbel noise, float32 ``[B, K]``; needed in the mode ``soft`` alone.
+        Standard normal noise is ``[B, K, A]``; standard Gumbel noise ``[B, K]``, only for ``soft``.
 
         Raises:
             A2SError: A score of Q is not finite.
         """
-        seen = self.normaliser(obs)
-        std = self.policy.std()
-        candidates = suggest(self.policy(seen), std, normal)
-        q_spread = torch.zeros(len(obs))
-        index, preference = select_first(normal), torch.zeros(len(obs))
+        norm_obs = self.normaliser(obs)
+        candidates = suggest(self.policy(norm_obs), self.policy.std(), normal)
+        index = torch.zeros(len(obs), dtype=torch.int64)
+        preference = q_spread = torch.zeros(len(obs))
         if self.q_net is not None:
-            q_value = self.q_net.score(seen, as_q_sees(candidates, self.action_mode))
-            q_spread = (q_value.amax(1) - q_value.mean(1)) * self.q_scale
-            if gumbel is None or self.mode == "hard":
+            q_value = self.q_net.score(norm_obs, as_q_sees(candidates, self.action_mode))
+            q_spread = self.q_scale * (q_value.amax(1) - q_value.mean(1))
+            if self.mode == "hard" or gumbel is None:
                 index = select_hard(q_value)
             else:
                 index = select_soft(q_value, gumbel, self.temperature)
@@ -102,3 +99,73 @@ class Suggester:
         suggestion, noise = take(candidates, index), take(normal, index)
         log_prob = log_density(noise, self.policy.log_std) + preference
         return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
+
+
+def suggest(mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
+    """Draw suggestions, canonical (-1..1 spans the action bounds) and not clipped.
+
+    Means ``[B, A]``, deviation ``[A]`` and standard normal noise ``[B, K, A]`` to ``[B, K, A]``.
+    """
+    return mean.unsqueeze(1) + std * normal
+
+
+def as_q_sees(suggestion: Tensor, mode: ActionMode) -> Tensor:
+    """Suggestions of any shape as Q is given them: clipped to -1..1, or raw."""
+    return suggestion.clamp(-1.0, 1.0) if mode == "clip" else suggestion
+
+
+def select_hard(q_value: Tensor) -> Tensor:
+    """Pick the suggestion of largest Q, among equals the first: ``[B, K]`` to int64 ``[B]``.
+
+    Raises:
+        A2SError: A score is not finite.
+    """
+    _require_finite(q_value)
+    return q_value.argmax(1)
+
+
+def select_soft(q_value: Tensor, gumbel: Tensor, temperature: float) -> Tensor:
+    """Draw a suggestion by the softmax of Q in units of its own spread.
+
+    ``argmax(z + gumbel)`` is a draw from ``softmax(z)``, with
+    ``z = (q - mean q) / (std of q over K * temperature)``: scores and standard Gumbel noise
+    ``[B, K]`` to int64 ``[B]``. Noise of 0 gives the suggestion of largest Q.
+
+    Raises:
+        A2SError: A score is not finite.
+    """
+    _require_finite(q_value)
+    return (_in_spreads(q_value, temperature) + gumbel).argmax(1)
+
+
+def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor:
+    """How much likelier than a draw from the policy the soft selection made its choice, in logs.
+
+    ``log(K p)``, p the chance of the chosen one given the K. An average over executed suggestions,
+    each weighed by ``1 / (K p)``, is one over the policy: K drawn alike, each counted once.
+    Scores ``[B, K]`` and chosen indices ``[B]`` to ``[B]``; 0 where K is 1 or all scores are equal.
+    """
+    chance = _in_spreads(q_value, temperature).log_softmax(1)
+    return chance.gather(1, index.unsqueeze(1)).squeeze(1) + math.log(q_value.shape[1])
+
+
+def inverse_temperature(progress: float) -> float:
+    """Of annealed soft selection, 1 at first: what is left of the run, but never 0."""
+    return max(1.0 - progress, _MIN_INVERSE_TEMPERATURE)
+
+
+def take(candidate: Tensor, index: Tensor) -> Tensor:
+    """Row by row the candidate of that index: ``[B, K, A]``, ``[B]`` to ``[B, A]``."""
+    return candidate[torch.arange(len(index), device=index.device), index]
+
+
+def _in_spreads(q_value: Tensor, temperature: float) -> Tensor:
+    centred = q_value - q_value.mean(1, keepdim=True)
+    spread = centred.square().mean(1, keepdim=True).sqrt()
+    return centred / (spread * temperature + SPREAD_EPS)
+
+
+def _require_finite(q_value: Tensor) -> None:
+    if not bool(torch.isfinite(q_value).all()):
+        bad = int((~torch.isfinite(q_value)).sum())
+        raise A2SError(f"q scores: found {bad} non-finite of {q_value.numel()}, expected finite")

@@ -1,41 +1,37 @@
-"""What one update consumes."""
+"""What one update learns from."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 
+class BatchSize(NamedTuple):
+    """What a batch holds at least: steps, and whole episodes; 0 episodes: they may be cut."""
+
+    steps: int
+    episodes: int = 0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Batch:
-    """Segments of several environments, one after the other.
-
-    Attributes:
-        obs: Observations before each step, float32 ``[N, D]``.
-        suggestion: Executed suggestions, canonical, before clipping, float32 ``[N, A]``.
-        log_prob: Their log density as executed, selection included, float32 ``[N]``.
-        reward: Undiscounted rewards, float32 ``[N]``.
-        lengths: Steps of each segment, in the order of the rows, int64 ``[S]``, summing to N.
-        weights_version: Version that made each segment, int64 ``[S]``.
-        final_obs: Observation after the last step of each segment, float32 ``[S, D]``.
-        terminated: That step reached a terminal state, bool ``[S]``.
-        truncated: That step hit a time limit, bool ``[S]``; neither: the episode goes on.
-        episode_returns: Undiscounted returns of the episodes that ended here, float32 ``[E]``.
+    """Segments of several environments, one after the other: N rows, S segments.
 
     Raises:
         ValueError: The tensors disagree, or there is no step.
     """
 
-    obs: Tensor
-    suggestion: Tensor
-    log_prob: Tensor
-    reward: Tensor
-    lengths: Tensor
-    weights_version: Tensor
-    final_obs: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    episode_returns: Tensor
+    obs: Tensor  # before each step, float32 [N, D]
+    suggestion: Tensor  # executed, canonical, before clipping, float32 [N, A]
+    log_prob: Tensor  # their log density as executed, selection included, float32 [N]
+    reward: Tensor  # undiscounted, float32 [N]
+    lengths: Tensor  # steps of each segment, in the order of the rows, int64 [S]
+    weights_version: Tensor  # that made each segment, int64 [S]
+    final_obs: Tensor  # after the last step of each segment, float32 [S, D]
+    terminated: Tensor  # that step reached a terminal state, bool [S]
+    truncated: Tensor  # that step hit a time limit, bool [S]; neither: the episode goes on
+    episode_returns: Tensor  # undiscounted, of the E episodes that ended here, float32 [E]
 
     def __post_init__(self) -> None:
         """Check the shapes against each other."""

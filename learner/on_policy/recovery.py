@@ -1,35 +1,27 @@
-"""When to go back to the best networks so far.
+"""Equation 5: when to go back to the best networks so far.
 
-Source: equation 5 of the paper, ``alpha + 1 - gap < U``, hence P(recover) = clip(gap - alpha, 0, 1)
-for a uniform U: a larger alpha recovers more rarely.
+``alpha + 1 - gap < U``, hence P(recover) = clip(gap - alpha, 0, 1) for a uniform U: a larger alpha
+recovers more rarely. A new rule is a new gap: a function here, a name in `RecoveryRule`, and a line
+in `Recovery._probability`. `state.py` keeps and restores the networks.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from a2s.learner.on_policy.config import RecoveryRule, ReturnStatistic
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RecoveryDecision:
-    """One test of equation 5.
+    """One test of equation 5."""
 
-    Attributes:
-        recover: Go back to the best networks.
-        improved: The networks that made this batch are the best so far.
-        draw: The uniform number of the test, 0..1.
-        probability: Chance of recovery at these returns.
-        r: Return statistic now; ``None`` while there are too few episodes.
-        r_best: The best one before, r*; ``None`` when there is none.
-    """
-
-    recover: bool
-    improved: bool
-    draw: float
-    probability: float
-    r: float | None
-    r_best: float | None
+    recover: bool  # go back to the best networks
+    improved: bool  # the networks that made this batch are the best so far
+    draw: float  # the uniform number of the test, 0..1
+    probability: float  # chance of recovery at these returns
+    r: float | None  # return statistic now; None while there are too few episodes
+    r_best: float | None  # the best one before, r*; None before the first
 
 
 def gap_as_printed(r: float, r_best: float) -> float:
@@ -55,92 +47,63 @@ def gap_invariant(r: float, r_best: float, r_first: float) -> float:
     return min(max(gap, 0.0), 1.0)
 
 
+@dataclass(slots=True, kw_only=True)
 class Recovery:
-    """Keeps r*, the first r and the last returns; takes the draw as an argument.
+    """Keeps r*, the first r and the last returns; takes the draw as an argument."""
 
-    Args:
-        rule: ``off``, ``authors`` (equation 5 as printed) or ``invariant``.
-        bias: Alpha.
-        statistic: ``mean`` or ``max`` of episode returns.
-        episodes: Of the last so many, and undecided before there are so many; 0: of each batch.
-        offset: Added to every return in the test.
-        cool_down: Updates after a recovery in which there is no other.
-    """
-
-    def __init__(
-        self,
-        *,
-        rule: RecoveryRule,
-        bias: float,
-        statistic: ReturnStatistic,
-        episodes: int,
-        offset: float = 0.0,
-        cool_down: int = 0,
-    ) -> None:
-        self._rule = rule
-        self._bias = bias
-        self._statistic = statistic
-        self._episodes = episodes
-        self._offset = offset
-        self._cool_down = cool_down
-        self._returns: list[float] = []
-        self._best: float | None = None
-        self._first: float | None = None
-        self._waiting = 0
+    rule: RecoveryRule
+    bias: float  # alpha
+    statistic: ReturnStatistic
+    episodes: int  # how many of the last ones; undecided while there are fewer. 0: of the batch
+    offset: float = 0.0  # added to every return in the test
+    cool_down: int = 0  # updates after a recovery in which there is no other
+    _returns: list[float] = field(default_factory=list, init=False)
+    _best: float | None = field(default=None, init=False)
+    _first: float | None = field(default=None, init=False)
+    _waiting: int = field(default=0, init=False)
 
     def judge(self, episode_returns: Sequence[float], draw: float) -> RecoveryDecision:
-        """Take the returns of a batch into account and test equation 5.
+        """Take the undiscounted returns of a batch into account and test equation 5.
 
-        Args:
-            episode_returns: Undiscounted returns of the episodes that ended in the batch.
-            draw: Uniform, 0 to below 1.
-
-        Returns:
-            The decision. After ``recover`` the returns of the failed networks are forgotten.
+        The draw is uniform, 0 to below 1. After a recovery the returns of the failed networks are
+        forgotten.
         """
         r, best = self._observe(episode_returns), self._best
         improved = r is not None and (best is None or r > best)
         probability = self._probability(r, best)
         recover = probability > 0 and 1.0 - probability < draw
         self._remember(r, improved=improved, recover=recover)
-        return RecoveryDecision(
-            recover=recover,
-            improved=improved,
-            draw=draw,
-            probability=probability,
-            r=r,
-            r_best=best,
-        )
+        return RecoveryDecision(recover, improved, draw, probability, r, best)
 
     def _observe(self, episode_returns: Sequence[float]) -> float | None:
-        shifted = [value + self._offset for value in episode_returns]
-        if self._episodes:
-            self._returns = (self._returns + shifted)[-self._episodes :]
-            if len(self._returns) < self._episodes:
+        shifted = [value + self.offset for value in episode_returns]
+        if self.episodes:
+            self._returns = (self._returns + shifted)[-self.episodes :]
+            if len(self._returns) < self.episodes:
                 return None
             shifted = self._returns
         if not shifted:
             return None
-        return max(shifted) if self._statistic == "max" else sum(shifted) / len(shifted)
+        return max(shifted) if self.statistic == "max" else sum(shifted) / len(shifted)
 
     def _probability(self, r: float | None, best: float | None) -> float:
-        if self._rule == "off" or self._waiting or r is None or best is None or r >= best:
+        if self.rule == "off" or self._waiting or r is None or best is None or r >= best:
             return 0.0
-        if self._rule == "authors":
+        if self.rule == "authors":
             gap = gap_as_printed(r, best)
         else:
             gap = gap_invariant(r, best, best if self._first is None else self._first)
-        return min(max(gap - self._bias, 0.0), 1.0)
+        return min(max(gap - self.bias, 0.0), 1.0)
 
     def _remember(self, r: float | None, *, improved: bool, recover: bool) -> None:
         self._waiting = max(self._waiting - 1, 0)
         if r is None:
             return
         self._first = r if self._first is None else self._first
-        if self._best is None or improved:
+        if improved:
             self._best = r
         if recover:
-            self._returns, self._waiting = [], self._cool_down
+            self._returns, self._waiting = [], self.cool_down
 
     def state(self) -> dict[str, Any]:
         """All that changes, fit for JSON."""

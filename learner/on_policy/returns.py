@@ -9,7 +9,7 @@ from a2s.learner.on_policy.batch import Batch
 
 # Of the size of returns: what varies less is rounding of float32 numbers and their sums.
 RESOLUTION = 2.0**-20
-_LEAST = 1e-30  # what float32 can still be divided by
+_MIN_STD = 1e-30  # what float32 can still be divided by
 
 
 class Estimates(NamedTuple):
@@ -22,12 +22,7 @@ class Estimates(NamedTuple):
 def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
     """Solve ``y[t] = amount[t] + decay[t] * y[t + 1]`` from the end, in double precision.
 
-    Args:
-        amount: ``[N]``.
-        decay: ``[N]``, 0 at the last step of every segment.
-
-    Returns:
-        The sums, float32 ``[N]``.
+    All are ``[N]``; the decay is 0 at the last step of every segment.
     """
     carry, sums = 0.0, []
     for here, keep in zip(
@@ -40,10 +35,10 @@ def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
 
 
 def bootstrap(batch: Batch, final_value: Tensor, *, time_limit_is_terminal: bool) -> Tensor:
-    """What is expected after each segment, ``[S]``: nothing once terminated, else V(final_obs).
+    """What is expected after each segment, ``[S]``: 0 once terminated, else V(final_obs).
 
-    A cut or truncated segment is bootstrapped. ``time_limit_is_terminal`` is the authors' way: a
-    truncated one is not; a cut one still is.
+    With ``time_limit_is_terminal``, the authors' way, it is 0 for a truncated segment too. A cut
+    one is always bootstrapped.
     """
     over = batch.terminated | batch.truncated if time_limit_is_terminal else batch.terminated
     return final_value.masked_fill(over, 0.0)
@@ -56,12 +51,7 @@ def lambda_estimates(
 
     With ``lam = 1`` the target is the discounted return, bootstrapped where a segment was cut.
 
-    Args:
-        batch: Gives rewards and segments.
-        value: V of every observation before its update, ``[N]``.
-        after: From `bootstrap`, ``[S]``.
-        gamma: Discount.
-        lam: 0..1.
+    ``value`` is V of every observation before its update, ``[N]``, ``after`` from `bootstrap`.
 
     Source: r^gamma of section 4.1 of the paper for ``lam = 1``; else Schulman et al. 2016, eq. 16.
     """
@@ -78,11 +68,11 @@ def lambda_estimates(
 class ReturnScale:
     """Running mean and standard deviation of targets, which Q and V are trained in units of.
 
-    V computed with the numbers of its last fit is exact: `update` comes between the use of the
-    old predictions and the next fit.
+    Call `update` between the use of the old predictions and the next fit: networks speak in the
+    unit of their last fit.
 
     Args:
-        enabled: When not, mean 0 and standard deviation 1 for ever.
+        enabled: Otherwise the mean stays 0 and the standard deviation 1.
         window_steps: Steps that are remembered, about.
     """
 
@@ -103,15 +93,15 @@ class ReturnScale:
         kept = self.std**2 * self.count if self.count else 0.0
         spread = kept + variance * added + shift**2 * self.count * added / total
         self.mean += shift * added / total
-        self.std = max((spread / total) ** 0.5, RESOLUTION * abs(self.mean), _LEAST)
+        self.std = max((spread / total) ** 0.5, RESOLUTION * abs(self.mean), _MIN_STD)
         self.count = min(total, float(self.window_steps))
 
     def normalise(self, target: Tensor) -> Tensor:
-        """Returns to what the networks are trained on."""
+        """Returns to targets of the networks."""
         return (target - self.mean) / self.std
 
     def restore(self, value: Tensor) -> Tensor:
-        """What the networks say, in returns."""
+        """Outputs of the networks to returns."""
         return value * self.std + self.mean
 
     def state(self) -> dict[str, float]:

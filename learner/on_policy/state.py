@@ -1,6 +1,6 @@
-"""Everything that learning changes and recovery can restore."""
+"""Everything that learning changes: what a checkpoint holds, and what a recovery restores."""
 
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,47 +11,63 @@ from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import Policy
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.networks.stored import check_tensors
-from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.critics import Regression
+from a2s.learner.on_policy.learning_rate import LearningRate
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
+from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
 from a2s.learner.on_policy.returns import ReturnScale
+from a2s.protocol.errors import A2SError
+
+_GENERATORS = ("networks", "order", "q", "recovery")
+_BEST = "best."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
-    """Copies of what was learned, as ``Learned.capture`` made them.
+class Snapshot(NamedTuple):
+    """Copies of what a recovery restores."""
 
-    Attributes:
-        tensors: Parameters, moments and statistics of observations, by name.
-        returns: State of the scale of returns.
-        weights_version: Version under which the networks made the batch.
-    """
-
-    tensors: dict[str, Tensor]
-    returns: dict[str, float]
-    weights_version: int
+    tensors: dict[str, Tensor]  # parameters, moments and statistics of observations, by name
+    returns: dict[str, float]  # state of the scale of returns
+    weights_version: int  # under which the networks made the batch
 
 
-class Learned:
-    """Networks, their optimisers and their normalisers.
+class TrainState:
+    """Networks, their optimisers, normalisers, learning rate, recovery and random generators.
 
     Attributes:
         normaliser: Of the observations.
         returns: Scale of what Q and V say.
-        policy: Suggests.
-        value_net: V.
-        q_net: Q.
         adam: One optimiser for ``policy``, ``value`` and ``q``, and ``distil`` (of the policy).
+        generators: ``networks`` for first weights, ``order`` for minibatches, ``q`` for what only Q
+            needs (so that A2C draws the same), ``recovery`` for equation 5.
+        best: The networks that reached r*.
+        updates: Batches learned from.
+        q_trusted: Q may choose. The argmax of an untrained Q is one arbitrary direction everywhere.
     """
 
     def __init__(
-        self, obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+        self,
+        obs_size: int,
+        action_size: int,
+        config: AnyOnPolicyConfig,
+        learning_rate: LearningRate,
+        recovery: Recovery,
+        seed: int,
     ) -> None:
-        self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs)
+        root = torch.Generator().manual_seed(seed)
+        seeds = torch.randint(2**62, (len(_GENERATORS),), generator=root).tolist()
+        self.generators = {
+            name: torch.Generator().manual_seed(each)
+            for name, each in zip(_GENERATORS, seeds, strict=True)
+        }
+        first = self.generators["networks"]
+        self.normaliser = Normaliser(obs_size, enabled=config.norm_obs)
         self.returns = ReturnScale(
-            enabled=hyper.norm_return, window_steps=hyper.return_window_steps
+            enabled=config.norm_return, window_steps=config.return_window_steps
         )
-        self.policy = make_policy(obs_size, action_size, hyper, generator)
-        self.value_net = make_critic(obs_size, hyper.value_sizes, hyper, generator)
-        self.q_net = make_critic(obs_size + action_size, hyper.q_sizes, hyper, generator)
+        self.policy = make_policy(obs_size, action_size, config, first)
+        self.value_net = make_critic(obs_size, config.value_sizes, config, first)
+        self.q_net = make_critic(obs_size + action_size, config.q_sizes, config, first)
         self._flat = {
             "policy": self.policy.value,
             "value": self.value_net.value,
@@ -59,39 +75,118 @@ class Learned:
         }
         self.adam = {name: Adam(value) for name, value in self._flat.items()}
         self.adam["distil"] = Adam(self.policy.value)
+        self.learning_rate = learning_rate
+        self.recovery = recovery
+        self.best: Snapshot | None = None
+        self._before: Snapshot | None = None
+        self.updates = 0
+        self.q_trusted = False
 
-    def is_finite(self) -> bool:
-        """Whether every parameter is a number."""
-        return all(bool(torch.isfinite(flat).all()) for flat in self._flat.values())
+    def fit_of_value(self, norm_obs: Tensor) -> Regression:
+        """V, to be fitted on observations ``[N, D]``."""
+        return Regression(self.value_net, self.adam["value"], norm_obs)
 
-    def capture(self, weights_version: int) -> Snapshot:
-        """Copy everything."""
+    def fit_of_q(self, norm_obs: Tensor, action: Tensor) -> Regression:
+        """Q, to be fitted on observations ``[N, D]`` and actions ``[N, A]``."""
+        inputs = torch.cat([norm_obs, action], 1)
+        return Regression(self.q_net, self.adam["q"], inputs)
+
+    def end_update(self) -> None:
+        """Count an update.
+
+        Raises:
+            A2SError: It left a parameter that is not finite.
+        """
+        self.updates += 1
+        if not all(bool(torch.isfinite(flat).all()) for flat in self._flat.values()):
+            raise A2SError(f"update {self.updates}: found non-finite weights, expected finite")
+
+    def judge(self, batch: Batch, *, is_behind: bool) -> RecoveryDecision | None:
+        """Test equation 5, and keep the networks that made the batch when they are the best.
+
+        These are the present ones, or those before the last update when the batch is behind.
+        ``None`` where recovery is off.
+        """
+        if self.recovery.rule == "off":
+            return None
+        draw = float(torch.rand((), generator=self.generators["recovery"]))
+        decision = self.recovery.judge(batch.episode_returns.tolist(), draw)
+        present = self._capture()
+        if decision.improved:
+            made_it = self._before if is_behind and self._before is not None else present
+            version = int(batch.weights_version.max())
+            self.best = made_it._replace(weights_version=version)
+        self._before = present
+        return decision
+
+    def recover(self, *, networks_only: bool = False) -> None:
+        """Go back to the best networks, and with them to their optimisers and observations.
+
+        The scale of returns always goes with the networks: it is the unit in which they speak.
+        """
+        assert self.best is not None, "there is an r* but no networks that reached it"
+        self._restore(self.best, networks_only=networks_only)
+        self.learning_rate.after_recovery()
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Everything that `load` needs to go on to the bit: tensors, and numbers for JSON."""
+        present = self._capture()
+        tensors = dict(present.tensors)
+        for name, generator in self.generators.items():
+            tensors[f"generator.{name}"] = generator.get_state()
+        best = None
+        if self.best is not None:
+            tensors |= {_BEST + name: tensor for name, tensor in self.best.tensors.items()}
+            best = {"returns": self.best.returns, "weights_version": self.best.weights_version}
+        scalars = {
+            "returns": present.returns,
+            "best": best,
+            "step_size": self.learning_rate.state(),
+            "recovery": self.recovery.state(),
+            "updates": self.updates,
+            "q_trusted": self.q_trusted,
+        }
+        return tensors, scalars
+
+    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
+        """Go back to a state of an object made with the same sizes and hyperparameters.
+
+        Raises:
+            A2SError: A tensor is missing or has another shape.
+        """
+        expected, _ = self.state()
+        check_tensors(tensors, {k: v for k, v in expected.items() if not k.startswith(_BEST)})
+        self.best = None
+        if scalars["best"] is not None:
+            stored = {
+                name.removeprefix(_BEST): tensor.clone()
+                for name, tensor in tensors.items()
+                if name.startswith(_BEST)
+            }
+            check_tensors(stored, self._capture().tensors)
+            self.best = Snapshot(stored, **scalars["best"])
+        self._restore(Snapshot(tensors, scalars["returns"], 0))
+        for name, generator in self.generators.items():
+            generator.set_state(tensors[f"generator.{name}"])
+        self.learning_rate.load(scalars["step_size"])
+        self.recovery.load(scalars["recovery"])
+        self.updates = scalars["updates"]
+        self.q_trusted = scalars["q_trusted"]
+
+    def _capture(self) -> Snapshot:
         tensors = {name: flat.clone() for name, flat in self._flat.items()}
         for name, buffer in self.normaliser.named_buffers():
             tensors[f"normaliser.{name}"] = buffer.clone()
         for name, adam in self.adam.items():
             tensors |= {f"adam.{name}.{key}": each.clone() for key, each in adam.tensors().items()}
-        return Snapshot(
-            tensors=tensors, returns=self.returns.state(), weights_version=weights_version
-        )
+        return Snapshot(tensors, self.returns.state(), weights_version=0)
 
-    def restore(self, snapshot: Snapshot, *, everything: bool) -> None:
-        """Go back to a snapshot.
-
-        Args:
-            snapshot: From `capture`.
-            everything: Also optimisers and the statistics of observations. The scale of returns
-                always goes with the networks: it is the unit in which they speak.
-
-        Raises:
-            RunDirectoryError: A tensor is missing or has another shape.
-        """
+    def _restore(self, snapshot: Snapshot, *, networks_only: bool = False) -> None:
         stored = snapshot.tensors
-        check_tensors(stored, self.capture(0).tensors)
         for name, flat in self._flat.items():
             flat.copy_(stored[name])
         self.returns.load(snapshot.returns)
-        if not everything:
+        if networks_only:
             return
         for name, buffer in self.normaliser.named_buffers():
             buffer.copy_(stored[f"normaliser.{name}"])
@@ -101,23 +196,23 @@ class Learned:
 
 
 def make_policy(
-    obs_size: int, action_size: int, hyper: OnPolicyConfig, generator: torch.Generator
+    obs_size: int, action_size: int, config: AnyOnPolicyConfig, generator: torch.Generator
 ) -> Policy:
     """An untrained policy."""
     return Policy(
-        (obs_size, *hyper.policy_sizes, action_size),
-        layer_norm=hyper.layer_norm,
-        init=hyper.init,
-        std=hyper.std,
-        std_floor=hyper.std_floor,
-        learns_std=hyper.learn_std,
+        (obs_size, *config.policy_sizes, action_size),
+        layer_norm=config.layer_norm,
+        init=config.init,
+        std=config.std,
+        std_floor=config.std_floor,
+        learns_std=config.learn_std,
         generator=generator,
     )
 
 
 def make_critic(
-    inputs: int, hidden: tuple[int, ...], hyper: OnPolicyConfig, generator: torch.Generator
+    inputs: int, hidden: tuple[int, ...], config: AnyOnPolicyConfig, generator: torch.Generator
 ) -> Ensemble:
     """An untrained Q or V, ``[N, in]`` to ``[N, 1]``, in normalised returns."""
-    form = Form((inputs, *hidden, 1), activation="tanh", layer_norm=hyper.layer_norm)
-    return Ensemble(form, form.draw(1, generator, init=hyper.init), single=True)
+    form = Form((inputs, *hidden, 1), activation="tanh", layer_norm=config.layer_norm)
+    return Ensemble(form, form.draw(1, generator, init=config.init), single=True)

@@ -1,43 +1,19 @@
-"""What one update has to say for itself."""
+"""The numbers of one update: columns of updates.csv, and metrics."""
 
 from dataclasses import dataclass
 
+from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.critics import Fits
+from a2s.learner.on_policy.distil import Distilled
+from a2s.learner.on_policy.policy import PolicyChange, entropy
 from a2s.learner.on_policy.recovery import RecoveryDecision
+from a2s.learner.on_policy.state import TrainState
+from a2s.learner.on_policy.targets import Targets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UpdateStats:
-    """Numbers of one update; losses are 0 where a part was not trained.
-
-    Attributes:
-        num_steps: Steps of the batch.
-        policy_loss: Of the policy gradient, mean of the last pass.
-        distil_loss: Of equation 6.
-        q_loss: Mean squared error of Q, in normalised returns.
-        value_loss: Of V.
-        q_fit_steps: Gradient steps of Q.
-        value_fit_steps: Gradient steps of V.
-        distil_steps: Gradient steps of equation 6 alone.
-        policy_epochs: Passes of the policy gradient.
-        kl: KL divergence that the learning rate follows, nats, of the configured scope and dims.
-        kl_target: What the rule wants it to be.
-        learning_rate: Of the policy.
-        critic_learning_rate: Of Q and V.
-        q_explained_variance: Of this batch's targets by Q before it saw them: held out.
-        q_action_correlation: Of ``Q - V`` and ``target - V``, held out as well: does Q know one
-            action from another?
-        value_explained_variance: By V before its update.
-        advantage_std: Of the advantages, in returns, before they are normalised.
-        entropy: Of the policy, nats.
-        std: Mean standard deviation of the policy.
-        return_mean: Running mean of targets.
-        return_std: Their running standard deviation.
-        q_trusted: 1 when the next suggester lets Q choose.
-        improved: 1 when the networks that made the batch are the best so far.
-        recovered: 1 when the best networks were restored.
-        restored_version: Their version, or -1.
-        recovery: The test of equation 5; ``None`` where recovery is off.
-    """
+    """Numbers of one update; 0 where a part was not trained. docs/algorithm.md explains each."""
 
     num_steps: int
     policy_loss: float
@@ -65,3 +41,39 @@ class UpdateStats:
     recovered: int
     restored_version: int
     recovery: RecoveryDecision | None
+
+
+def update_stats(
+    batch: Batch,
+    state: TrainState,
+    targets: Targets,
+    fits: Fits,
+    distilled: Distilled,
+    change: PolicyChange,
+    decision: RecoveryDecision | None,
+    learning_rate: float,
+    critic_learning_rate: float,
+) -> UpdateStats:
+    """Put the numbers of an update together; those of the parts are named as the columns."""
+    restored = state.best if decision is not None and decision.recover else None
+    return UpdateStats(
+        num_steps=batch.num_steps,
+        **fits._asdict(),
+        **distilled._asdict(),
+        **change._asdict(),
+        kl_target=state.learning_rate.kl_target,
+        learning_rate=learning_rate,
+        critic_learning_rate=critic_learning_rate,
+        q_explained_variance=targets.q_explained_variance,
+        q_action_correlation=targets.q_action_correlation,
+        value_explained_variance=targets.value_explained_variance,
+        entropy=float(entropy(state.policy.log_std)),
+        std=float(state.policy.std().mean()),
+        return_mean=state.returns.mean,
+        return_std=state.returns.std,
+        q_trusted=int(state.q_trusted),
+        improved=int(decision is not None and decision.improved),
+        recovered=int(restored is not None),
+        restored_version=restored.weights_version if restored else -1,
+        recovery=decision,
+    )

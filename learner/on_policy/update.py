@@ -1,78 +1,69 @@
 """On-policy A2S: one update from one batch.
 
 Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1. A2C is the same with one
-suggestion and neither equation.
+suggestion and neither equation. `authors.py` has the paper to the letter.
 """
-
-import dataclasses
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.stored import check_tensors
-from a2s.learner.on_policy.acting import Suggester
-from a2s.learner.on_policy.batch import Batch
+from a2s.learner.networks.gaussian import log_density
+from a2s.learner.on_policy.acting import Suggester, as_q_sees, inverse_temperature
+from a2s.learner.on_policy.batch import Batch, BatchSize
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.critics import Fits, fit_critics
-from a2s.learner.on_policy.policy import PolicyUpdate, policy_now, update_policy
-from a2s.learner.on_policy.policy_gradient import entropy
-from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
-from a2s.learner.on_policy.state import Learned, Snapshot
-from a2s.learner.on_policy.stats import UpdateStats
-from a2s.learner.on_policy.step_size import StepSize
-from a2s.learner.on_policy.suggestion import choosiness
-from a2s.learner.on_policy.targets import Evidence, gather_evidence
-from a2s.protocol.errors import A2SError
+from a2s.learner.on_policy.distil import Distilled, distil_policy, distil_target
+from a2s.learner.on_policy.learning_rate import LearningRate
+from a2s.learner.on_policy.policy import (
+    PolicyChange,
+    PolicyData,
+    importance,
+    improve,
+    normalised,
+)
+from a2s.learner.on_policy.recovery import Recovery
+from a2s.learner.on_policy.state import TrainState
+from a2s.learner.on_policy.stats import UpdateStats, update_stats
+from a2s.learner.on_policy.targets import estimate_targets
 
-_GENERATORS = ("networks", "order", "q", "recovery")
-_BEST = "best."
+# Bounds of the rule `kl`, by the first learning rate.
+_MIN_LEARNING_RATE, _MAX_LEARNING_RATE = 1 / 50, 6.0
 
 
-class OnPolicy:
-    """The learner's networks and everything that learning them needs.
+class OnPolicy(TrainState):
+    """The networks and everything that learning them needs.
 
     ::
 
-        algorithm = OnPolicy(obs_size, action_size, hyper, seed)
+        algorithm = OnPolicy(obs_size, action_size, config, seed)
         while ...:
             graph = export(algorithm.suggester(low, high, progress), ...)
             stats = algorithm.update(batch)
-
-    Args:
-        obs_size: D.
-        action_size: A.
-        hyper: Hyperparameters.
-        seed: Of the first weights and of every random choice.
     """
 
-    def __init__(self, obs_size: int, action_size: int, hyper: OnPolicyConfig, seed: int) -> None:
-        self.hyper = hyper
-        root = torch.Generator().manual_seed(seed)
-        seeds = torch.randint(2**62, (len(_GENERATORS),), generator=root).tolist()
-        self._generators = {
-            name: torch.Generator().manual_seed(each)
-            for name, each in zip(_GENERATORS, seeds, strict=True)
-        }
-        self.learned = Learned(obs_size, action_size, hyper, self._generators["networks"])
-        self._step_size = StepSize(hyper)
-        self._recovery = Recovery(
-            rule=hyper.recovery,
-            bias=hyper.recovery_bias,
-            statistic=hyper.recovery_statistic,
-            episodes=hyper.recovery_episodes,
-            offset=hyper.recovery_offset,
-            cool_down=hyper.recovery_cool_down,
+    def __init__(self, obs_size: int, action_size: int, config: OnPolicyConfig, seed: int) -> None:
+        self.config = config
+        learning_rate = LearningRate(
+            rule=config.lr_rule,
+            first=config.learning_rate,
+            kl_target=config.kl_target,
+            recovery_divisor=config.recovery_lr_divisor,
+            low=config.learning_rate * _MIN_LEARNING_RATE,
+            high=config.learning_rate * _MAX_LEARNING_RATE,
         )
-        self._best: Snapshot | None = None
-        self._before: Snapshot | None = None
-        self._updates = 0
-        self._q_trusted = hyper.warm_up == "none"
+        recovery = Recovery(
+            rule=config.recovery,
+            bias=config.recovery_bias,
+            statistic=config.recovery_statistic,
+            episodes=config.recovery_episodes,
+            cool_down=config.recovery_cool_down,
+        )
+        super().__init__(obs_size, action_size, config, learning_rate, recovery, seed)
 
     @property
-    def updates(self) -> int:
-        """Batches seen."""
-        return self._updates
+    def next_batch(self) -> BatchSize:
+        """What the next batch holds at least."""
+        return BatchSize(self.config.batch_steps_at(self.updates))
 
     def suggester(
         self, action_low: Tensor, action_high: Tensor, progress: float = 0.0
@@ -80,24 +71,23 @@ class OnPolicy:
         """The present way of acting; it shares the networks and is valid until the next update.
 
         Args:
-            action_low: Of the environment, float32 ``[A]``.
-            action_high: Of the environment, float32 ``[A]``.
+            action_low: Of the environment, ``[A]``.
+            action_high: Of the environment, ``[A]``.
             progress: Fraction of the run that is done, 0..1; only ``anneal_selection`` reads it.
         """
-        hyper, learned = self.hyper, self.learned
-        choosy = choosiness(progress, fades=hyper.anneal_selection)
-        picks = self._q_trusted and hyper.suggestions > 1
+        config = self.config
+        inverse = inverse_temperature(progress) if config.anneal_selection else 1.0
+        picks = self.q_trusted and config.suggestions > 1
         return Suggester(
-            normaliser=learned.normaliser,
-            policy=learned.policy,
-            q_net=learned.q_net if picks else None,
+            normaliser=self.normaliser,
+            policy=self.policy,
+            q_net=self.q_net if picks else None,
             action_low=action_low,
             action_high=action_high,
-            mode=hyper.selection if picks else "first",
-            suggestions=hyper.suggestions if picks else 1,
-            temperature=hyper.selection_temperature / choosy,
-            action_mode=hyper.action_mode,
-            q_scale=learned.returns.std,
+            mode=config.selection if picks else "first",
+            suggestions=config.suggestions if picks else 1,
+            temperature=config.selection_temperature / inverse,
+            q_scale=self.returns.std,
         )
 
     def update(
@@ -113,167 +103,107 @@ class OnPolicy:
         Raises:
             A2SError: The networks are no longer finite.
         """
-        learned, step_size = self.learned, self._step_size
-        decision = self._judge(batch, is_behind)
+        config = self.config
+        decision = self.judge(batch, is_behind=is_behind)  # equation 5
+        with torch.no_grad():
+            old_mean = self.policy(self.normaliser(batch.obs))
+        self.normaliser.update(batch.obs)
+        q_action = as_q_sees(batch.suggestion, "clip") if config.uses_q else None
+        targets = estimate_targets(
+            batch, self, q_action, gamma=config.gamma, gae_lambda=config.gae_lambda
+        )
+        self.learning_rate.adapt()
+        fits, distilled, change = Fits(), Distilled(), PolicyChange()
         recovers = decision is not None and decision.recover
-        collected = policy_now(learned, batch.obs)
-        learned.normaliser.update(batch.obs)
-        evidence = gather_evidence(batch, learned, self.hyper)
-        step_size.adapt(progress)
         if recovers:
-            self._recover()
-            collected = policy_now(learned, batch.obs)
-        rates = step_size.rates(progress)
-        seen = learned.normaliser(batch.obs)
-        fits, moved = Fits(), PolicyUpdate()
+            self.recover()
+        rate = self.learning_rate.at(progress)
+        critic_rate = config.critic_learning_rate * self.learning_rate.left(progress)
         if not recovers:
-            fits = self._fit(batch, seen, evidence, rates[1])
-        if not recovers or self.hyper.recovery_learns:
-            moved = update_policy(
-                batch,
-                seen,
-                evidence,
-                collected,
-                learned,
-                self.hyper,
-                distil=self._q_trusted,
-                learning_rate=rates[0],
-                order=self._generators["order"],
-                q_order=self._generators["q"],
-            )
-            per_dim = self.hyper.kl_dims == "mean"
-            step_size.last_kl = moved.improvement.kl / (batch.suggestion.shape[1] if per_dim else 1)
-        self._updates += 1
-        if not learned.is_finite():
-            raise A2SError(f"update {self._updates}: found non-finite weights, expected finite")
-        return self._stats(batch, evidence, fits, moved, decision, rates)
+            norm_obs = self.normaliser(batch.obs)
+            fits = self._fit_critics(norm_obs, q_action, targets.target, critic_rate)
+            distilled = self._distil(norm_obs, rate)  # equation 6
+            change = self._improve(batch, norm_obs, targets.advantage, old_mean, rate)  # equation 4
+            self.learning_rate.last_kl = change.kl
+        self.end_update()
+        return update_stats(
+            batch, self, targets, fits, distilled, change, decision, rate, critic_rate
+        )
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Everything that `load` needs to go on to the bit.
-
-        Returns:
-            Tensors by name, and numbers that survive JSON.
-        """
-        present = self.learned.capture(0)
-        tensors = dict(present.tensors)
-        for name, generator in self._generators.items():
-            tensors[f"generator.{name}"] = generator.get_state()
-        best = None
-        if self._best is not None:
-            tensors |= {_BEST + name: tensor for name, tensor in self._best.tensors.items()}
-            best = {
-                "returns": self._best.returns,
-                "weights_version": self._best.weights_version,
-            }
-        scalars = {
-            "returns": present.returns,
-            "best": best,
-            "step_size": self._step_size.state(),
-            "recovery": self._recovery.state(),
-            "updates": self._updates,
-            "q_trusted": self._q_trusted,
-        }
-        return tensors, scalars
-
-    def load(self, tensors: dict[str, Tensor], scalars: dict[str, Any]) -> None:
-        """Go back to a state of an object made with the same sizes and hyperparameters.
-
-        Raises:
-            RunDirectoryError: A tensor is missing or has another shape.
-        """
-        expected, _ = self.state()
-        check_tensors(tensors, {k: v for k, v in expected.items() if not k.startswith(_BEST)})
-        present = Snapshot(tensors=tensors, returns=scalars["returns"], weights_version=0)
-        self._best = None
-        best = scalars["best"]
-        if best is not None:
-            stored = {
-                name.removeprefix(_BEST): tensor.clone()
-                for name, tensor in tensors.items()
-                if name.startswith(_BEST)
-            }
-            check_tensors(stored, self.learned.capture(0).tensors)
-            self._best = Snapshot(tensors=stored, **best)
-        self.learned.restore(present, everything=True)
-        for name, generator in self._generators.items():
-            generator.set_state(tensors[f"generator.{name}"])
-        self._step_size.load(scalars["step_size"])
-        self._recovery.load(scalars["recovery"])
-        self._updates = scalars["updates"]
-        self._q_trusted = scalars["q_trusted"]
-
-    def _judge(self, batch: Batch, is_behind: bool) -> RecoveryDecision | None:
-        """Test equation 5, and keep the networks that made the batch when they are the best."""
-        if self.hyper.recovery == "off":
-            return None
-        draw = float(torch.rand((), generator=self._generators["recovery"]))
-        decision = self._recovery.judge(batch.episode_returns.tolist(), draw)
-        present = self.learned.capture(0)
-        if decision.improved:
-            made_it = self._before if is_behind and self._before is not None else present
-            version = int(batch.weights_version.max())
-            self._best = dataclasses.replace(made_it, weights_version=version)
-        self._before = present
-        return decision
-
-    def _recover(self) -> None:
-        if self._best is None:
-            raise AssertionError("there is an r* but no networks that reached it")
-        everything = self.hyper.recovery_restores == "everything"
-        self.learned.restore(self._best, everything=everything)
-        self._step_size.after_recovery()
-
-    def _fit(self, batch: Batch, seen: Tensor, evidence: Evidence, rate: float) -> Fits:
+    def _fit_critics(
+        self, norm_obs: Tensor, q_action: Tensor | None, target: Tensor, learning_rate: float
+    ) -> Fits:
         """Fit Q and V; from now on Q may choose."""
-        fits = fit_critics(
-            batch,
-            seen,
-            evidence.target,
-            self.learned,
-            self.hyper,
-            learning_rate=rate,
-            order=self._generators["order"],
-            q_order=self._generators["q"],
+        config = self.config
+        self.returns.update(target)
+        self.q_trusted = True
+        return fit_critics(
+            self.fit_of_value(norm_obs),
+            None if q_action is None else self.fit_of_q(norm_obs, q_action),
+            self.returns.normalise(target),
+            epochs=config.critic_epochs,
+            minibatch=config.critic_minibatch,
+            min_minibatches=config.min_minibatches,
+            learning_rate=learning_rate,
+            max_grad_norm=config.max_grad_norm,
+            generator=self.generators["order"],
         )
-        self._q_trusted = True
-        return fits
 
-    def _stats(
-        self,
-        batch: Batch,
-        evidence: Evidence,
-        fits: Fits,
-        moved: PolicyUpdate,
-        decision: RecoveryDecision | None,
-        rates: tuple[float, float],
-    ) -> UpdateStats:
-        learned = self.learned
-        recovered = self._best if decision is not None and decision.recover else None
-        return UpdateStats(
-            num_steps=batch.num_steps,
-            policy_loss=moved.improvement.policy_loss,
-            distil_loss=moved.distil_loss,
-            q_loss=fits.q_loss,
-            value_loss=fits.value_loss,
-            q_fit_steps=fits.q_steps,
-            value_fit_steps=fits.value_steps,
-            distil_steps=moved.distil_steps,
-            policy_epochs=moved.improvement.epochs,
-            kl=self._step_size.last_kl if moved.improvement.epochs else 0.0,
-            kl_target=self._step_size.kl_target,
-            learning_rate=rates[0],
-            critic_learning_rate=rates[1],
-            q_explained_variance=evidence.q_explained_variance,
-            q_action_correlation=evidence.q_action_correlation,
-            value_explained_variance=evidence.value_explained_variance,
-            advantage_std=moved.advantage_std,
-            entropy=float(entropy(learned.policy.log_std)),
-            std=float(learned.policy.std().mean()),
-            return_mean=learned.returns.mean,
-            return_std=learned.returns.std,
-            q_trusted=int(self._q_trusted),
-            improved=int(decision is not None and decision.improved),
-            recovered=int(recovered is not None),
-            restored_version=recovered.weights_version if recovered else -1,
-            recovery=decision,
+    def _distil(self, norm_obs: Tensor, learning_rate: float) -> Distilled:
+        config = self.config
+        if config.distil == "off":
+            return Distilled()
+        target = distil_target(
+            self.q_net,
+            self.policy,
+            norm_obs,
+            suggestions=config.distil_suggestions,
+            action_mode="clip",
+            generator=self.generators["q"],
         )
+        return distil_policy(
+            self.policy,
+            self.adam["distil"],
+            norm_obs,
+            target,
+            steps=config.distil_steps,
+            minibatch=config.distil_minibatch,
+            kl_bound=config.distil_kl,
+            learning_rate=learning_rate,
+            max_grad_norm=config.max_grad_norm,
+            generator=self.generators["q"],
+        )
+
+    def _improve(
+        self, batch: Batch, norm_obs: Tensor, advantage: Tensor, old_mean: Tensor, rate: float
+    ) -> PolicyChange:
+        """Follow the policy gradient; the ratio and the divergence are from before equation 6."""
+        config = self.config
+        old_log_std = self.policy.log_std.clone()  # which equation 6 does not move
+        normal = (batch.suggestion - old_mean) * (-old_log_std).exp()
+        log_prob = log_density(normal, old_log_std)
+        weight = importance(log_prob, batch.log_prob, config.weight_limit)
+        data = PolicyData(
+            obs=norm_obs,
+            action=batch.suggestion,
+            log_prob=log_prob,
+            advantage=normalised(advantage, weight) if config.norm_advantage else advantage,
+            weight=weight,
+            mean=old_mean,
+            log_std=old_log_std,
+        )
+        change = improve(
+            self.policy,
+            self.adam["policy"],
+            data,
+            epochs=config.policy_epochs,
+            minibatch=config.policy_minibatch,
+            min_minibatches=config.min_minibatches,
+            kl_stop=config.kl_stop,
+            clip_ratio=config.clip_ratio,
+            entropy_weight=config.entropy_weight,
+            learning_rate=rate,
+            max_grad_norm=config.max_grad_norm,
+            generator=self.generators["order"],
+        )
+        return change._replace(advantage_std=float(advantage.std(correction=0)))

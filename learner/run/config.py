@@ -16,8 +16,10 @@ import tomlkit
 
 from a2s.learner.off_policy import config as off_policy_config
 from a2s.learner.off_policy.config import OffPolicyConfig
-from a2s.learner.on_policy import config as on_policy_config
-from a2s.learner.on_policy.config import OnPolicyConfig, as_a2c
+from a2s.learner.on_policy import presets as on_policy_presets
+from a2s.learner.on_policy.authors_config import AuthorsConfig
+from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 from a2s.learner.run.other_names import OFF_POLICY, ON_POLICY, RUN, meant, without_removed
 from a2s.learner.settings import Settings, setting
 from a2s.protocol.env_config import TIMEOUT_S, EnvConfig, kwargs_of, wrapper_of
@@ -28,8 +30,8 @@ from a2s.protocol.messages import Clock
 Variant = Literal["on-policy", "off-policy"]
 Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
-Hyper = OnPolicyConfig | OffPolicyConfig
-C = TypeVar("C", OnPolicyConfig, OffPolicyConfig)
+Hyper = AnyOnPolicyConfig | OffPolicyConfig
+C = TypeVar("C", bound=Hyper)
 P = TypeVar("P")
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
@@ -128,7 +130,7 @@ class Configuration:
         """Every value with its source, one a line, as TOML with comments."""
         changed, about = self.changed(), type(self.hyper).about()
         defaults = asdict(type(self.hyper)())
-        module = off_policy_config if self.run.variant == "off-policy" else on_policy_config
+        module = off_policy_config if self.run.variant == "off-policy" else on_policy_presets
         source = module.PRESETS[self.run.preset].source
         lines = ["[run]"]
         lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
@@ -142,19 +144,20 @@ class Configuration:
         return "\n".join(lines)
 
 
-def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> OnPolicyConfig:
+def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolicyConfig:
     """Hyperparameters of a preset with some of them changed.
 
     Args:
-        preset: A key of `a2s.learner.on_policy.config.PRESETS`.
+        preset: A key of `a2s.learner.on_policy.presets.PRESETS`.
         algo: ``a2s`` or ``a2c``.
         given: Values by name, of the right type or as text.
 
     Raises:
         UsageError: The preset or a name is unknown, or a value impossible.
     """
-    config = _preset(on_policy_config.PRESETS, preset).config
-    hyper = _change(as_a2c(config) if algo == "a2c" else config, given, ON_POLICY)
+    config = _preset(on_policy_presets.PRESETS, preset).config
+    changed = config.as_a2c() if algo == "a2c" else config
+    hyper = _change(changed, given, ON_POLICY)
     for name, only in (("suggestions", 1), ("distil", "off")) if algo == "a2c" else ():
         if (found := getattr(hyper, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with algo a2c")
@@ -208,8 +211,7 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
-    variant = run.get("variant", "on-policy")
-    return run, without_removed(hyper, variant, _names(variant)[0])
+    return run, without_removed(hyper, *_remaining(run))
 
 
 def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:
@@ -268,11 +270,20 @@ def _hyper(run: RunConfig, given: Mapping[str, object]) -> Hyper:
     return on_policy(run.preset, run.algo, given)
 
 
+def _remaining(run: Mapping[str, Any]) -> tuple[str, Collection[str]]:
+    """The key of what was removed from the hyperparameters of a run, and those that remain."""
+    if run.get("variant") == "off-policy":
+        return "off-policy", OffPolicyConfig.about()
+    if run.get("preset") in ("authors", "paper"):
+        return "authors", AuthorsConfig.about()
+    return "on-policy", OnPolicyConfig.about()
+
+
 def _names(variant: object) -> tuple[Collection[str], Mapping[str, str]]:
-    """All hyperparameters of a variant, and what else they are called."""
+    """All hyperparameters of a variant's presets, and what else they are called."""
     if variant == "off-policy":
         return OffPolicyConfig.about(), OFF_POLICY
-    return OnPolicyConfig.about(), ON_POLICY
+    return {**OnPolicyConfig.about(), **AuthorsConfig.about()}, ON_POLICY
 
 
 def _preset(presets: Mapping[str, P], name: str) -> P:
@@ -285,7 +296,9 @@ def _change(config: C, given: Mapping[str, object], others: Mapping[str, str]) -
     valid = config.about()
     for name in given:
         if name not in valid:
-            raise UsageError(f"unknown hyperparameter {name!r}{meant(name, valid, others)}")
+            is_modern = isinstance(config, AuthorsConfig) and name in OnPolicyConfig.about()
+            hint = " (only in the preset modern)" if is_modern else meant(name, valid, others)
+            raise UsageError(f"unknown hyperparameter {name!r}{hint}")
     try:
         return replace(config, **config.parse(given))
     except ValueError as error:

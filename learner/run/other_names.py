@@ -6,6 +6,7 @@ A count may be of one environment there, and of all of them here. Stable-Baselin
 and ``entropy_per_action``.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
@@ -93,6 +94,8 @@ class Removed(NamedTuple):
 
 _NOTHING = "it brought nothing; docs/adr/0008"
 _UNUSED = "no preset used it"
+_AUTHORS = "only in the presets authors and paper"
+_CONSTANT = "a constant of the presets authors and paper"
 REMOVED = {
     "on-policy": {
         "critics": Removed((1,), "on-policy there is one"),
@@ -100,7 +103,31 @@ REMOVED = {
         "activation": Removed(("tanh",), _UNUSED),
         "q_weight_decay": Removed((0,), _UNUSED),
         "target_lambda": Removed((0.95, 1), "it is gae_lambda"),
-        "warm_up_explained_variance": Removed((0,), "warm_up is none or first-fit"),
+        "warm_up_explained_variance": Removed((0,), "Q chooses after its first fit"),
+        "warm_up": Removed(("first-fit",), "Q chooses after its first fit"),
+        "action_mode": Removed(("clip",), "Q sees suggestions clipped to the bounds"),
+        "min_episodes": Removed((0,), _AUTHORS),
+        "whole_episodes": Removed((False,), _CONSTANT),
+        "time_limit_is_terminal": Removed((False,), _CONSTANT),
+        "init": Removed(("orthogonal",), "uniform weights are " + _CONSTANT),
+        "learn_std": Removed((True,), "a fixed deviation is " + _CONSTANT),
+        "fit_rule": Removed(("epochs",), "the threshold is " + _CONSTANT),
+        "fit_steps": Removed((100,), _CONSTANT),
+        "q_fit_extra_steps": Removed((0,), _CONSTANT),
+        "value_fit_extra_steps": Removed((0,), _CONSTANT),
+        "fit_threshold": Removed((0,), _CONSTANT),
+        "advantage": Removed(("gae",), _AUTHORS + "; with gae_lambda 1 GAE is the return less V"),
+        "policy_loss": Removed(("clip",), "with policy_epochs 1, policy_minibatch 0 it is score"),
+        "distil_top": Removed((1,), _UNUSED),
+        "recovery_offset": Removed((0,), _AUTHORS),
+        "recovery_restores": Removed(("everything",), "only networks is " + _CONSTANT),
+        "recovery_learns": Removed((False,), _AUTHORS),
+        "recovery_kl_divisor": Removed((1,), _CONSTANT),
+        "critic_follows_rule": Removed((False,), _CONSTANT),
+        "lr_min": Removed((1e-5,), "it is a fiftieth of learning_rate"),
+        "lr_max": Removed((3e-3,), "it is 6 times learning_rate"),
+        "kl_scope": Removed(("update",), "after equation 6 alone is " + _CONSTANT),
+        "kl_dims": Removed(("joint",), "their mean is " + _CONSTANT),
         "distil_loss": Removed(("mse", "log-likelihood"), "equation 6 is a squared error"),
         "distil_weight": Removed((0.2, 1), "equation 6 has steps of its own"),
         "recovery_best_decay": Removed((0,), _UNUSED),
@@ -117,19 +144,41 @@ REMOVED = {
     },
 }
 _REASONS = {name: gone.reason for table in REMOVED.values() for name, gone in table.items()}
+# What the presets authors and paper had as settings: now constants, or unused as before.
+_OF_AUTHORS: dict[str, object] = {
+    "action_mode": "raw", "anneal_selection": False, "batch_growth": 1, "clip_ratio": 0.2,
+    "critic_epochs": 10, "critic_follows_rule": True, "critic_learning_rate": 1e-3,
+    "critic_minibatch": 128, "distil_kl": math.inf, "distil_minibatch": 128, "distil_steps": 50,
+    "distil_suggestions": 10, "distil_top": 1, "entropy_weight": 0, "fit_rule": "threshold",
+    "fit_steps": 100, "fit_threshold": 100, "gae_lambda": 1, "init": "uniform",
+    "kl_dims": "mean", "kl_scope": "policy-gradient", "kl_stop": math.inf, "layer_norm": True,
+    "learn_std": False, "lr_max": math.inf, "lr_min": 0, "lr_rule": "kl", "max_grad_norm": 0,
+    "max_policy_lag": 0, "min_minibatches": 1, "norm_advantage": False, "norm_obs": False,
+    "norm_return": False, "policy_epochs": 1, "policy_loss": "score", "policy_minibatch": 0,
+    "q_fit_extra_steps": 5000, "recovery_cool_down": 0, "recovery_episodes": 0,
+    "recovery_kl_divisor": 1.1, "recovery_lr_divisor": 5, "recovery_restores": "networks",
+    "return_window_steps": 20480, "selection": "hard", "selection_temperature": 1,
+    "std_floor": 0.3, "time_limit_is_terminal": True, "value_fit_extra_steps": 100,
+    "warm_up": "none", "weight_limit": 0, "whole_episodes": True,
+}  # fmt: skip
+_TABLES = REMOVED | {
+    "authors": REMOVED["on-policy"]
+    | {name: Removed((value,), _CONSTANT) for name, value in _OF_AUTHORS.items()}
+    | {"first_batch_steps": Removed((500, 1), _CONSTANT)},
+}
 
 
 def without_removed(
-    given: Mapping[str, object], variant: object, valid: Collection[str]
+    given: Mapping[str, object], variant: str, valid: Collection[str]
 ) -> dict[str, object]:
     """Leave out removed hyperparameters whose value changed nothing.
 
     Args:
         given: Values by name.
-        variant: Of the algorithm.
+        variant: ``on-policy``, ``off-policy``, or ``authors`` for the presets authors and paper.
         valid: All names that there are.
     """
-    gone = REMOVED.get(str(variant), {})
+    gone = _TABLES[variant]
     return {
         name: value
         for name, value in given.items()

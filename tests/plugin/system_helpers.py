@@ -20,7 +20,7 @@ OFTEN = (
     "--set", "batch_steps=64", "--set", "first_batch_steps=64", "--set", "learning_rate=1e-9",
     "--set", "lr_rule=constant", "--set", "recovery=invariant", "--set", "recovery_bias=0",
     "--set", "recovery_episodes=0", "--set", "recovery_statistic=mean",
-    "--set", "recovery_cool_down=0", "--set", "recovery_offset=0",
+    "--set", "recovery_cool_down=0",
 )  # fmt: skip
 REACH = ("--env", "a2s_test_envs:Reach-v0")
 PATIENCE_S = 200.0  # for whole runs, on a busy machine too: only a failure takes so long

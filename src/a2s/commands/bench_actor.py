@@ -12,8 +12,8 @@ from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
 from a2s.commands.bench import Contender, Contest
 from a2s.learner.export.on_policy import export
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.update import OnPolicy
-from a2s.learner.run.config import on_policy
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Notice
@@ -48,8 +48,9 @@ def _acting(env_id: str, suggestions: int) -> Contender:
 
 
 def _graph(spaces: Spaces, suggestions: int) -> bytes:
-    hyper = on_policy("modern", "a2s", {"suggestions": suggestions, "warm_up": "none"})
-    algorithm = OnPolicy(spaces.obs_size, len(spaces.action_low), hyper, 0)
+    config = OnPolicyConfig(suggestions=suggestions)
+    algorithm = OnPolicy(spaces.obs_size, len(spaces.action_low), config, 0)
+    algorithm.q_trusted = True
     bounds = torch.from_numpy(spaces.action_low), torch.from_numpy(spaces.action_high)
     return export(algorithm.suggester(*bounds), 1, {})
 

@@ -13,7 +13,7 @@ from a2s.learner.off_policy.noise import Noise, draw_noise
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.run.config import off_policy
-from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.errors import A2SError
 
 OBS, ACTION, ROWS = 5, 3, 32
 SMALL: dict[str, Any] = {"critic_sizes": "24,16", "policy_sizes": "16,16", "precision": "f32"}
@@ -180,7 +180,7 @@ def test_goes_on_to_the_bit_from_a_state(preset: str, options: dict[str, Any]) -
 
 def test_state_of_other_sizes_is_refused() -> None:
     """By name."""
-    with pytest.raises(RunDirectoryError, match="learner state: critics: found shape"):
+    with pytest.raises(A2SError, match="learner state: critics: found shape"):
         make(num_critics=3).load(make().state())
 
 

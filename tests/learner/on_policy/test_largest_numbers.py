@@ -9,6 +9,7 @@ import pytest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Store
 from a2s.learner.make import make_off_policy
+from a2s.learner.on_policy import authors
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.run.config import RunConfig, off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
@@ -56,16 +57,11 @@ def play(trainer: Trainer, store: Store, size: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize("names", [("suggestion",), ("log_prob",), tuple(LARGEST)], ids=",".join)
-@pytest.mark.parametrize(
-    ("preset", "options"),
-    [
-        ("modern", {}),
-        ("authors", {"q_fit_extra_steps": 0, "value_fit_extra_steps": 0}),
-        ("paper", {"q_fit_extra_steps": 0, "value_fit_extra_steps": 0}),
-    ],
-)
-def test_on_policy(preset: str, options: dict[str, Any], names: tuple[str, ...]) -> None:
-    hyper = on_policy(preset, "a2s", options)
+@pytest.mark.parametrize("preset", ["modern", "authors", "paper"])
+def test_on_policy(preset: str, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    for steps in ("Q_EXTRA_STEPS", "VALUE_EXTRA_STEPS"):
+        monkeypatch.setattr(authors, steps, 0)
+    hyper = on_policy(preset, "a2s", {})
     trainer = OnPolicyTrainer(SPACES, hyper, 0, {}, LearnerMetrics())
     play(trainer, trainer, {name: LARGEST[name] for name in names})
 

@@ -4,36 +4,16 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from on_policy_learners import batch_of
 from torch import Tensor
 
-from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.returns import (
     ReturnScale,
     bootstrap,
     correlation,
-    decayed_sums,
     explained_variance,
     lambda_estimates,
 )
-
-
-def batch_of(
-    reward: Tensor, lengths: list[int], terminated: list[bool], truncated: list[bool]
-) -> Batch:
-    """Build a batch of which only rewards and segments matter."""
-    steps, segments = len(reward), len(lengths)
-    return Batch(
-        obs=torch.zeros(steps, 2),
-        suggestion=torch.zeros(steps, 1),
-        log_prob=torch.zeros(steps),
-        reward=reward,
-        lengths=torch.tensor(lengths),
-        weights_version=torch.zeros(segments, dtype=torch.int64),
-        final_obs=torch.zeros(segments, 2),
-        terminated=torch.tensor(terminated),
-        truncated=torch.tensor(truncated),
-        episode_returns=torch.zeros(0),
-    )
 
 
 def _cut(lengths: list[int], *rows: Tensor) -> list[list[Tensor]]:
@@ -68,15 +48,13 @@ def slow_advantage(
 def test_estimates_agree_with_the_definition(
     lengths: list[int], gamma: float, lam: float, seed: int
 ) -> None:
-    """Segments of random lengths, none of them ended."""
+    """Segments of random lengths, beside each other: nothing leaks from one into another."""
     generator = torch.Generator().manual_seed(seed)
     reward = torch.randn(sum(lengths), generator=generator)
     value = torch.randn(sum(lengths), generator=generator)
     after = torch.randn(len(lengths), generator=generator)
-    ends = [False] * len(lengths)
-    found = lambda_estimates(
-        batch_of(reward, lengths, ends, ends), value, after, gamma=gamma, lam=lam
-    )
+    batch = batch_of(reward, lengths, [False] * len(lengths))
+    found = lambda_estimates(batch, value, after, gamma=gamma, lam=lam)
     expected: list[float] = []
     for r, v, a in zip(*_cut(lengths, reward, value), after, strict=True):
         expected += slow_advantage(r.tolist(), v.tolist(), float(a), gamma, lam)
@@ -86,36 +64,19 @@ def test_estimates_agree_with_the_definition(
 
 def test_target_of_lambda_one_is_the_discounted_return() -> None:
     """V cancels from it."""
-    batch = batch_of(torch.tensor([1.0, 2.0, 4.0]), [3], [True], [False])
+    batch = batch_of(torch.tensor([1.0, 2.0, 4.0]), [3], [True])
     found = lambda_estimates(batch, torch.randn(3), torch.zeros(1), gamma=0.5, lam=1.0)
     torch.testing.assert_close(found.target, torch.tensor([3.0, 4.0, 4.0]))  # 1 + .5 (2 + .5 4)
 
 
 def test_only_termination_ends_what_is_expected() -> None:
     """Terminated, truncated, cut; and the authors' way."""
-    batch = batch_of(torch.zeros(3), [1, 1, 1], [True, False, False], [False, True, False])
+    batch = batch_of(torch.zeros(3), [1, 1, 1], [True, False, False], False, True, False)
     final = torch.tensor([7.0, 8.0, 9.0])
     modern = bootstrap(batch, final, time_limit_is_terminal=False)
     authors = bootstrap(batch, final, time_limit_is_terminal=True)
     assert modern.tolist() == [0.0, 8.0, 9.0]
     assert authors.tolist() == [0.0, 0.0, 9.0]
-
-
-def test_nothing_leaks_from_one_segment_into_another() -> None:
-    """They only lie beside each other."""
-    ends = [True, True]
-    first = batch_of(torch.tensor([1.0, 1.0, 5.0]), [2, 1], ends, [False, False])
-    other = batch_of(torch.tensor([1.0, 1.0, 99.0]), [2, 1], ends, [False, False])
-    zeros = torch.zeros(3)
-    one = lambda_estimates(first, zeros, torch.zeros(2), gamma=0.9, lam=0.9).advantage
-    two = lambda_estimates(other, zeros, torch.zeros(2), gamma=0.9, lam=0.9).advantage
-    assert one[:2].tolist() == two[:2].tolist()
-
-
-def test_sums_decay_backwards() -> None:
-    """By hand: 1, 1 + .5, 1 + .5 * 1.5."""
-    found = decayed_sums(torch.tensor([1.0, 1.0, 1.0]), torch.tensor([0.5, 0.5, 0.0]))
-    assert found.tolist() == [1.75, 1.5, 1.0]
 
 
 def test_scale_of_returns_has_the_moments_of_all_targets() -> None:
@@ -141,21 +102,14 @@ def test_scale_of_returns_forgets_beyond_its_window() -> None:
     assert scale.std < 2.0
 
 
-def test_explained_variance_of_perfection_is_one_and_of_a_constant_zero() -> None:
-    """And of nothing to explain 0."""
-    actual = torch.tensor([1.0, 2.0, 3.0])
+def test_explained_variance_and_correlation_by_hand() -> None:
+    """Of perfection, of a constant, and 0 where nothing varies but rounding."""
+    actual = torch.tensor([1.0, 2.0, 4.0])
     assert explained_variance(actual, actual) == pytest.approx(1.0)
     assert explained_variance(torch.zeros(3), actual) == pytest.approx(0.0)
-    assert explained_variance(actual, torch.ones(3)) == 0.0
-    assert explained_variance(actual, torch.full((3,), 0.1)) == 0.0
-
-
-def test_correlation_has_its_sign() -> None:
-    """And is 0 where nothing varies."""
-    left = torch.tensor([1.0, 2.0, 4.0])
-    assert correlation(left, -2 * left + 1) == pytest.approx(-1.0)
-    assert correlation(left, torch.ones(3)) == 0.0
-    assert correlation(left, torch.full((3,), 0.1)) == 0.0
+    assert correlation(actual, -2 * actual + 1) == pytest.approx(-1.0)
+    for constant in (torch.ones(3), torch.full((3,), 0.1)):
+        assert explained_variance(actual, constant) == correlation(actual, constant) == 0.0
 
 
 @pytest.mark.parametrize("unit", [2.0**-60, 2.0**-20, 2.0**30])

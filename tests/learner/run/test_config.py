@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from a2s.learner.off_policy.config import PRESETS as OFF_PRESETS
-from a2s.learner.on_policy.config import PRESETS as ON_PRESETS
+from a2s.learner.on_policy.authors_config import AuthorsConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.presets import PRESETS as ON_PRESETS
 from a2s.learner.run import tables
 from a2s.learner.run.config import off_policy, on_policy
 from a2s.protocol.errors import UsageError
@@ -37,7 +38,7 @@ def test_every_on_policy_preset_is_valid(preset: str, algo: str) -> None:
 
 def test_authors_have_the_values_of_table_3() -> None:
     """Gamma, wanted divergence, deviation, alpha, K."""
-    hyper = on_policy("authors", "a2s", {})
+    hyper = AuthorsConfig()
     found = (hyper.gamma, hyper.kl_target, hyper.std, hyper.recovery_bias, hyper.suggestions)
     assert found == (0.97, 1e-3, 0.5, 0.65, 10)
 
@@ -45,9 +46,9 @@ def test_authors_have_the_values_of_table_3() -> None:
 @pytest.mark.parametrize("preset", ON_PRESETS)
 def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> None:
     """For every preset."""
-    a2c = on_policy(preset, "a2c", {})
-    same = {"suggestions": 1, "distil": "off", "recovery": "off", "advantage": a2c.advantage}
-    assert a2c == on_policy(preset, "a2s", same)
+    same: dict[str, object] = {"suggestions": 1, "distil": "off", "recovery": "off"}
+    same |= {} if preset == "modern" else {"advantage": "return-v"}
+    assert on_policy(preset, "a2c", {}) == on_policy(preset, "a2s", same)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> Non
         ("batch_steps", 1e4, 10_000),
         ("gamma", ".9", 0.9),
         ("kl_stop", "inf", math.inf),
-        ("learn_std", "false", False),
+        ("norm_obs", "false", False),
         ("selection", "hard", "hard"),
         ("q_sizes", "256,128", (256, 128)),
         ("q_sizes", "256-128", (256, 128)),
@@ -99,11 +100,10 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ({"layer_norm": 1}, "layer_norm: found 1, expected true or false"),
         ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected layer sizes such as 64,64"),
         ({"q_sizes": "64,0"}, "q_sizes: found 0, expected a whole number from 1 to 65536"),
-        ({"distil_top": 11}, r"distil_top: found 11, expected at most distil_suggestions \(10\)"),
-        ({"min_episodes": 3}, "min_episodes: found 3, expected 0 while whole_episodes is false"),
+        ({"std": 0.1}, r"std_floor: found 0.15, expected at most std \(0.1\)"),
         (
-            {"whole_episodes": True},
-            "min_episodes: found 0, expected at least 1 while whole_episodes is true",
+            {"min_episodes": 3},
+            r"unknown hyperparameter 'min_episodes' \(removed: only in the presets .*\)",
         ),
         ({"gama": 1.0}, r"unknown hyperparameter 'gama' \(did you mean 'gamma'\?\)"),
     ],
@@ -112,6 +112,14 @@ def test_wrong_values_are_refused_in_one_line(overrides: dict[str, object], mess
     """Subject, what was found, what was expected."""
     with pytest.raises(UsageError, match=f"^{message}$"):
         on_policy("modern", "a2s", overrides)
+
+
+def test_the_authors_have_few_settings() -> None:
+    """The others are told apart: of another preset, or of none."""
+    with pytest.raises(UsageError, match=r"'clip_ratio' \(only in the preset modern\)"):
+        on_policy("authors", "a2s", {"clip_ratio": 0.1})
+    with pytest.raises(UsageError, match=r"'fit_steps' \(removed: a constant of the presets"):
+        on_policy("paper", "a2s", {"fit_steps": 50})
 
 
 def test_an_unknown_preset_names_the_nearest() -> None:
@@ -141,9 +149,7 @@ def test_values_are_parsed_alike_from_text_and_file() -> None:
 
 def test_batches_grow_from_the_first_to_the_last_size() -> None:
     """By 1.5: 512, 768, 1152, 1728, then the last."""
-    hyper = on_policy(
-        "modern", "a2s", {"batch_steps": 2048, "first_batch_steps": 512, "batch_growth": 1.5}
-    )
+    hyper = OnPolicyConfig(batch_steps=2048, first_batch_steps=512, batch_growth=1.5)
     assert [hyper.batch_steps_at(update) for update in range(5)] == [512, 768, 1152, 1728, 2048]
     assert hyper.batch_steps_at(10**9) == 2048
 

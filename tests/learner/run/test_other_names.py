@@ -55,7 +55,10 @@ def test_a_file_may_have_what_is_gone_where_it_changed_nothing(tmp_path: Path) -
     values = "optimism = 0.0\nselection_fades = false\ndistil_top = 1\ndistil_weight = 0.2\n"
     file.write_text(f"[run]\nvariant = 'off-policy'\n[hyper]\ntau = 0.5\n{values}")
     assert read(file)[1] == {"tau": 0.5, "distil_weight": 0.2}
+    authors = "fit_steps = 100\nselection = 'hard'\ngamma = 0.9\nclip_ratio = 0.1"
+    file.write_text(f"[run]\npreset = 'paper'\n[hyper]\n{authors}")
+    assert read(file)[1] == {"gamma": 0.9, "clip_ratio": 0.1}
     file.write_text(f"[hyper]\n{values}critics = 1\ntarget_lambda = 0.9\n")
     assert read(file)[1] == {
-        "optimism": 0.0, "selection_fades": False, "distil_top": 1, "target_lambda": 0.9,
+        "optimism": 0.0, "selection_fades": False, "target_lambda": 0.9,
     }  # fmt: skip

@@ -1,0 +1,79 @@
+"""Fitting Q and V."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.networks.form import Form
+from a2s.learner.on_policy.critics import Fits, Regression, fit_critics, num_minibatches
+
+
+def job_of(seed: int = 0) -> tuple[Regression, Tensor]:
+    """Build a linear network and a target that it can learn."""
+    generator = torch.Generator().manual_seed(seed)
+    inputs = torch.randn(96, 3, generator=generator)
+    target = inputs @ torch.tensor([1.0, -2.0, 0.5]) + 0.7
+    form = Form((3, 1), activation="tanh", layer_norm=True)
+    network = Ensemble(form, form.draw(1, generator, init="orthogonal"), single=True)
+    return Regression(network, Adam(network.value), inputs), target
+
+
+def predict(job: Regression) -> Tensor:
+    """What a fitted network says of its inputs, ``[N]``."""
+    return job.network(job.inputs).squeeze(-1)
+
+
+def fit(
+    value: Regression, q: Regression | None, target: Tensor, epochs: int = 1, rate: float = 0.05
+) -> Fits:
+    """Fit with a fixed order of rows."""
+    return fit_critics(
+        value,
+        q,
+        target,
+        epochs=epochs,
+        minibatch=32,
+        min_minibatches=1,
+        learning_rate=rate,
+        max_grad_norm=0.0,
+        generator=torch.Generator().manual_seed(5),
+    )
+
+
+def test_passes_learn_a_linear_target() -> None:
+    """A hundred passes are plenty."""
+    job, target = job_of()
+    found = fit(job, None, target, 100)
+    assert found.value_loss < 1e-3
+    assert (found.value_fit_steps, found.q_fit_steps, found.q_loss) == (300, 0, 0.0)
+
+
+def test_loss_is_the_mean_squared_error_of_the_last_pass() -> None:
+    """At rate 0 the loss of a pass is that of the batch."""
+    job, target = job_of()
+    expected = float((predict(job) - target).square().mean())
+    assert fit(job, None, target, rate=0.0).value_loss == pytest.approx(expected, rel=1e-5)
+
+
+def test_company_changes_nothing() -> None:
+    """Fitted beside another, a network learns the same to the bit."""
+    alone, target = job_of()
+    together, _ = job_of()
+    other, _ = job_of(seed=9)
+    beside = fit(together, other, target)
+    assert fit(alone, None, target).value_loss == beside.value_loss != beside.q_loss
+    assert torch.equal(predict(alone), predict(together))
+
+
+@pytest.mark.parametrize(
+    ("rows", "minibatch", "at_least", "expected"),
+    [(2048, 256, 1, 8), (2100, 256, 8, 8), (100, 256, 1, 1), (100, 256, 8, 8), (5, 4, 8, 5),
+     (99, 0, 8, 1)],
+)  # fmt: skip
+def test_minibatches_are_nearly_equal(
+    rows: int, minibatch: int, at_least: int, expected: int
+) -> None:
+    """A short last minibatch would count as much as a whole one."""
+    assert num_minibatches(rows, minibatch, at_least) == expected

@@ -1,0 +1,222 @@
+"""Densities, weights, losses and passes of the policy gradient."""
+
+import dataclasses
+
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import Independent, Normal, kl_divergence
+
+from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.gaussian import Policy, log_density
+from a2s.learner.on_policy import state
+from a2s.learner.on_policy.acting import log_preference, select_soft, take
+from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.policy import (
+    PolicyChange,
+    PolicyData,
+    clipped_loss,
+    differentiate,
+    entropy,
+    gaussian_kl,
+    importance,
+    improve,
+    normalised,
+)
+
+
+def density_of(mean: Tensor, log_std: Tensor, action: Tensor) -> Tensor:
+    """Log density of actions, ``[N]``."""
+    return log_density((action - mean) * (-log_std).exp(), log_std)
+
+
+def test_density_and_entropy_agree_with_the_textbook() -> None:
+    """Against torch's distributions."""
+    mean, log_std, action = torch.randn(5, 3), torch.randn(3), torch.randn(5, 3)
+    textbook = Independent(Normal(mean, log_std.exp()), 1)
+    torch.testing.assert_close(density_of(mean, log_std, action), textbook.log_prob(action))  # type: ignore[no-untyped-call]
+    torch.testing.assert_close(entropy(log_std), textbook.entropy()[0])  # type: ignore[no-untyped-call]
+
+
+def test_kl_agrees_with_the_textbook() -> None:
+    """Against torch's distributions, by dimension."""
+    mean, old_mean = torch.randn(2, 5, 3)
+    log_std, old_log_std = torch.randn(2, 3)
+    expected = kl_divergence(Normal(mean, log_std.exp()), Normal(old_mean, old_log_std.exp()))
+    torch.testing.assert_close(gaussian_kl(mean, log_std, old_mean, old_log_std), expected)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "advantage", "loss", "slope"),
+    [
+        (1.0, 2.0, -2.0, -2.0),
+        (1.5, 2.0, -2.4, 0.0),  # gains end at 1.2
+        (0.5, 2.0, -1.0, -1.0),
+        (0.5, -2.0, 1.6, 0.0),  # losses end at 0.8
+        (1.5, -2.0, 3.0, 3.0),
+    ],
+)
+def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: float) -> None:
+    """Only gains are limited."""
+    log_prob = torch.tensor([ratio]).log()
+    worth = torch.tensor([advantage])
+    for weight in (1.0, 3.0):
+        found, steepness = clipped_loss(
+            log_prob, torch.zeros(1), worth, torch.full((1,), weight), 0.2
+        )
+        assert float(found) == pytest.approx(weight * loss)
+        assert float(steepness) == pytest.approx(weight * slope)
+
+
+def test_weights_undo_the_selection_up_to_their_limit() -> None:
+    """They have mean 1; without selection, or without a limit, they are 1."""
+    drawn = torch.tensor([-1.0, -2.0, -3.0])
+    picked = drawn + torch.tensor([4.0, 0.5, 0.25]).log()
+    torch.testing.assert_close(
+        importance(drawn, picked, 3.0), torch.tensor([0.25, 2.0, 3.0]) / 1.75
+    )
+    assert torch.equal(importance(drawn, drawn, 3.0), torch.ones(3))
+    assert torch.equal(importance(drawn, picked, 0.0), torch.ones(3))
+
+
+def test_normalised_advantage_has_mean_0_and_deviation_1() -> None:
+    """In any unit; a weight of 2 counts a step twice; equal ones are 0, though .1 is no float."""
+    advantage, ones = torch.randn(100) * 7 + 3, torch.ones(100)
+    found = normalised(advantage, ones)
+    assert float(found.mean()) == pytest.approx(0.0, abs=1e-6)
+    assert float(found.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
+    twice = torch.cat([torch.full((50,), 4 / 3), torch.full((50,), 2 / 3)])
+    written_out = normalised(torch.cat([advantage[:50], advantage]), torch.ones(150))
+    torch.testing.assert_close(normalised(advantage, twice), written_out[50:])
+    for unit in (2.0**-60, 2.0**-30, 2.0**40):
+        torch.testing.assert_close(normalised(unit * advantage, ones), found)
+    for same in (0.0, 0.1):
+        torch.testing.assert_close(normalised(same * ones, ones), torch.zeros(100))
+
+
+@pytest.mark.parametrize("weighed", [True, False])
+def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
+    """Q is wrong: it prefers large actions, all are worth the same 1; d E[1] / d mean = 0."""
+    generator = torch.Generator().manual_seed(0)
+    mean, log_std = torch.zeros(40_000, 1, requires_grad=True), torch.full((1,), 0.5).log()
+    candidate = 0.5 * torch.randn(40_000, 10, 1, generator=generator)
+    uniform = torch.rand(40_000, 10, generator=generator)
+    index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 1.0)
+    action = take(candidate, index)
+    log_prob = density_of(mean, log_std, action)
+    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0)
+    weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
+    drawn = log_prob.detach()
+    _, slope = clipped_loss(drawn, drawn, torch.ones(40_000), weight, 0.2)
+    (gradient,) = torch.autograd.grad(log_prob, mean, slope)
+    if weighed:
+        assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
+    else:
+        assert float(-gradient.sum()) > 1.0
+
+
+def make_policy(std_floor: float = 0.15) -> Policy:
+    """Build a policy of four observed numbers and two actions."""
+    config = OnPolicyConfig(std_floor=std_floor)
+    return state.make_policy(4, 2, config, torch.Generator().manual_seed(0))
+
+
+def data_of(policy: Policy, rows: int = 400) -> PolicyData:
+    """Suggestions that are the better the larger their first dimension is."""
+    obs = torch.randn(rows, 4)
+    with torch.no_grad():
+        mean = policy(obs)
+    log_std = policy.log_std.detach().clone()
+    action = mean + log_std.exp() * torch.randn(rows, 2)
+    return PolicyData(
+        obs=obs,
+        action=action,
+        log_prob=density_of(mean, log_std, action),
+        advantage=normalised(action[..., 0], torch.ones(rows)),
+        weight=torch.ones(rows),
+        mean=mean,
+        log_std=log_std,
+    )
+
+
+def improved(
+    policy: Policy,
+    data: PolicyData,
+    learning_rate: float,
+    kl_stop: float = 0.05,
+    epochs: int = 10,
+    minibatch: int = 256,
+) -> PolicyChange:
+    """Improve with the rest as by default."""
+    return improve(
+        policy,
+        Adam(policy.value),
+        data,
+        epochs=epochs,
+        minibatch=minibatch,
+        min_minibatches=8,
+        kl_stop=kl_stop,
+        clip_ratio=0.2,
+        entropy_weight=0.0,
+        learning_rate=learning_rate,
+        max_grad_norm=0.5,
+        generator=torch.Generator().manual_seed(0),
+    )
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_gradient_is_that_of_autograd(moved: bool) -> None:
+    """Of the clipped loss and the entropy; in the first step the former is A2C's loss."""
+    generator = torch.Generator().manual_seed(0)
+    mean = torch.randn(50, 2, generator=generator, requires_grad=True)
+    log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
+    action = mean.detach() + torch.randn(50, 2, generator=generator) * 0.5
+    log_prob = density_of(mean, log_std, action)
+    part = PolicyData(
+        obs=torch.zeros(50, 1),
+        action=action,
+        log_prob=log_prob.detach() + moved * 0.3 * torch.randn(50, generator=generator),
+        advantage=torch.randn(50, generator=generator),
+        weight=torch.rand(50, generator=generator),
+        mean=mean.detach(),
+        log_std=log_std.detach(),
+    )
+    ratio = (log_prob - part.log_prob).exp()
+    clipped = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
+    gain = clipped if moved else log_prob * part.advantage
+    expected = -(part.weight * gain).mean()
+    torch.autograd.backward(expected - 0.1 * entropy(log_std))
+    found, grad_mean, grad_log_std = differentiate(mean.detach(), log_std.detach(), part, 0.2, 0.1)
+    torch.testing.assert_close(found, -(part.weight * clipped).mean().detach())
+    torch.testing.assert_close(grad_mean, mean.grad)
+    torch.testing.assert_close(grad_log_std, log_std.grad)
+
+
+@pytest.mark.parametrize(("epochs", "minibatch"), [(10, 256), (1, 0)])
+def test_policy_moves_to_what_was_better(epochs: int, minibatch: int) -> None:
+    """By PPO's passes, and by A2C's single step."""
+    policy = make_policy()
+    data = data_of(policy)
+    found = improved(policy, data, 1e-3, epochs=epochs, minibatch=minibatch)
+    with torch.no_grad():
+        moved = (policy(data.obs) - data.mean).mean(0)
+    assert float(moved[0]) > (0.01 if epochs > 1 else 1e-4)
+    assert found.policy_epochs <= epochs
+    assert found.kl > 0.0
+
+
+def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
+    """A pass is finished, then no other begins."""
+    policy = make_policy()
+    found = improved(policy, data_of(policy), 3e-3, kl_stop=0.005)
+    assert found.policy_epochs < 10
+    assert found.kl > 0.005
+
+
+def test_std_is_held_at_its_floor() -> None:
+    """Though the advantage asks for less."""
+    policy = make_policy(std_floor=0.499)
+    data = data_of(policy)
+    narrow = -(data.action - data.mean).square().sum(1)
+    improved(policy, dataclasses.replace(data, advantage=normalised(narrow, data.weight)), 1e-2)
+    torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))
