@@ -22,8 +22,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from a2s.actors.activity import Activity, Doing, share
-from a2s.actors.families import FAMILY, end_family, inherit_orphans, start_guard
-from a2s.actors.words import Lines, Words
+from a2s.actors.child_output import Lines, Words
+from a2s.actors.descendants import FAMILY, end_family, inherit_orphans, start_guard
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, UsageError
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from a2s.actors.activity import Activity
 from a2s.actors.children import UNHEARD, Report
+from a2s.actors.descendants import FAMILY, end_family, inherit_orphans, reap_orphans
 from a2s.actors.environments.faults import Faults
-from a2s.actors.families import FAMILY, end_family, inherit_orphans, reap_orphans
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, UsageError
 

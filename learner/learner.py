@@ -11,11 +11,11 @@ from typing import Any
 
 from a2s.learner.feed import Arrival, Feed
 from a2s.learner.ingest.clock import clock_of
-from a2s.learner.run.config import RunConfig
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
+from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.saver import Saver
 from a2s.learner.run.status import POSITION, Status
 from a2s.learner.trainer import Outcome, Saved, Trainer

@@ -19,9 +19,10 @@ from a2s.learner.other_replay import OtherReplay, ReplayFeed
 from a2s.learner.own_replay import OwnReplay
 from a2s.learner.replay.remote import ServedReplay
 from a2s.learner.run import checkpoint, saver
-from a2s.learner.run.config import Configuration, RunConfig
+from a2s.learner.run.config import Configuration
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
+from a2s.learner.run.run_config import RunConfig
 from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys

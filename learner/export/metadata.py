@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 
-from a2s.learner.run.config import RunConfig
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.fields import Spaces
 
 

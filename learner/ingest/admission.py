@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from a2s.learner.run.config import RunConfig
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 

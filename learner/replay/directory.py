@@ -9,7 +9,7 @@ import numpy as np
 
 from a2s.learner.replay.files import NAME, Description, Files, describe, locked
 from a2s.learner.replay.index import CONTINUES, STARTS, TERMINATED, TRUNCATED, Index, Record
-from a2s.learner.replay.recovery import Recovery
+from a2s.learner.replay.repair import Repair
 from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.ring import Ring
 from a2s.learner.replay.sampling import Priorities
@@ -71,7 +71,7 @@ def open_existing(
     """Open a replay to go on with it; every live row is compared with its checksum.
 
     With another ``capacity`` the newest rows are kept. Segments that ``is_known`` does not find in
-    the ledger are taken back, see `Recovery`. The first ``least_rows`` were inserted before the
+    the ledger are taken back, see `Repair`. The first ``least_rows`` were inserted before the
     newest checkpoint: a kill cannot tear them, so that a replay without them is damaged.
 
     Raises:
@@ -85,7 +85,7 @@ def open_existing(
     capacity = about.capacity if capacity is None else capacity
     _require_capacity(capacity, batch_size)
     with locked(path) as lock_file:
-        found = Recovery(path, about, writable=True, is_known=is_known)
+        found = Repair(path, about, writable=True, is_known=is_known)
         files, ring = found.files, found.ring
         if ring.end < least_rows:
             raise RunDirectoryError(
@@ -122,13 +122,13 @@ def look_at(path: Path, *, alpha: float = 0.6, alone: bool = False) -> Replay:
     """
     about = describe(path)
     with locked(path, to_read=True) if alone else nullcontext(-1) as lock_file:
-        found = Recovery(path, about)
+        found = Repair(path, about)
         found.files.lock_file = lock_file
         priorities = Priorities(found.ring, found.files.priority.copy(), alpha)
         return Replay(about, found.ring, priorities, found.files, torn_records=found.torn)
 
 
-def _resize(path: Path, about: Description, found: Recovery) -> tuple[Files, Ring]:
+def _resize(path: Path, about: Description, found: Repair) -> tuple[Files, Ring]:
     """Copy the newest rows into files of another capacity; they keep their numbers and links."""
     files = Files(path, about, writable=True, new=True)
     source, target = found.ring, Ring(about.capacity, files.slots)

@@ -9,7 +9,7 @@ import numpy as np
 
 from a2s.learner.replay.files import describe
 from a2s.learner.replay.index import STARTS, TERMINATED, TRUNCATED, Record
-from a2s.learner.replay.recovery import Recovery
+from a2s.learner.replay.repair import Repair
 from a2s.learner.replay.ring import Columns
 from a2s.protocol.fields import Array
 
@@ -47,7 +47,7 @@ class StoredEpisodes:
 
     def __init__(self, path: Path) -> None:
         self.about = describe(path)
-        self._found = Recovery(path, self.about)
+        self._found = Repair(path, self.about)
         self.left_out = 0
 
     def __iter__(self) -> Iterator[Episode]:

@@ -9,8 +9,8 @@ from typing import Any
 
 from a2s.learner.feed import Attendance
 from a2s.learner.ingest.members import Member
-from a2s.learner.run.config import RunConfig
 from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.messages import RunStatus
 
 POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")

@@ -15,8 +15,9 @@ from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.make import make_off_policy
 from a2s.learner.off_policy_trainer import OffPolicyTrainer
 from a2s.learner.own_replay import OwnReplay
-from a2s.learner.run.config import RunConfig, off_policy
+from a2s.learner.run.config import off_policy
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.run_config import RunConfig
 from a2s.learner.trainer import Outcome, Saved
 from a2s.protocol.errors import RunDirectoryError, UsageError
 from a2s.protocol.fields import Spaces

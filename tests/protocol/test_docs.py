@@ -14,7 +14,7 @@ import pytest
 from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.own_replay import OwnReplay
-from a2s.learner.run.config import RunConfig
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.fields import MAX_METRICS, Spaces

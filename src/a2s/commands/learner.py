@@ -29,10 +29,11 @@ from a2s.learner.replay import directory
 from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.run import directory as run_directory
-from a2s.learner.run.config import Configuration, RunConfig
+from a2s.learner.run.config import Configuration
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo

@@ -15,8 +15,8 @@ from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
-from a2s.learner.run.config import RunConfig
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome

@@ -11,8 +11,9 @@ from a2s.learner.ingest.store import Store
 from a2s.learner.make import make_off_policy
 from a2s.learner.on_policy import authors
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
-from a2s.learner.run.config import RunConfig, off_policy, on_policy
+from a2s.learner.run.config import off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.run_config import RunConfig
 from a2s.learner.trainer import Trainer
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import MAX_PLAYED, MAX_SUGGESTED, Segment

@@ -6,8 +6,8 @@ import pytest
 from rich.console import Console
 
 from a2s.learner.ingest.members import Member
-from a2s.learner.run.config import RunConfig
 from a2s.learner.run.progress import LiveView, PlainView, sparkline, thin
+from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.status import Status
 
 ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=0.0) for name in "ab"]

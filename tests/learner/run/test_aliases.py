@@ -11,8 +11,9 @@ from typer.main import get_command
 from a2s import cli
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.run.config import RunConfig, assemble, read
-from a2s.learner.run.other_names import OFF_POLICY, ON_POLICY, REMOVED, RUN, meant
+from a2s.learner.run.aliases import OFF_POLICY, ON_POLICY, REMOVED, RUN, meant
+from a2s.learner.run.config import assemble, read
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import UsageError
 
 

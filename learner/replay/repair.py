@@ -11,7 +11,7 @@ from a2s.learner.replay.ring import Ring, max_piece
 from a2s.protocol.errors import RunDirectoryError
 
 
-class Recovery:
+class Repair:
     """Finds the rows that count, compares each with its checksum and makes them live in ``ring``.
 
     ``is_known`` says whether the segment with this actor and number is in the ledger. Unknown ones
