@@ -1,6 +1,6 @@
-"""What a process is at in an environment: a page of memory that its parent reads at any time.
+"""The call into an environment that a process is in, on a page of memory its parent can read.
 
-A call that never returns may hold the interpreter as well, so the process cannot be asked.
+A call that never returns may also hold the interpreter, so the process cannot be asked.
 """
 
 import mmap
@@ -22,15 +22,14 @@ class Doing(NamedTuple):
     since_s: float
 
     def __str__(self) -> str:
-        """Say it to a user."""
+        """Describe the call for a user."""
         return f"{self.call} of environment {self.env_index} for {self.since_s:.0f} s"
 
 
 class Activity:
     """The page: when the present call began, and which it is.
 
-    Args:
-        fd: Of a shared page, see `share`; ``None``: nobody else reads it.
+    ``fd`` is the descriptor of a page from `share`; with ``None`` nobody else reads the page.
     """
 
     def __init__(self, fd: int | None = None) -> None:
@@ -47,7 +46,7 @@ class Activity:
         self._page[1] = 0.0
 
     def now(self) -> Doing | None:
-        """Read what the present call is, if there is one."""
+        """Read the present call, if there is one."""
         begun_s, which = self._page[0], int(self._page[1])
         if not which:
             return None

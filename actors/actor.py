@@ -38,7 +38,7 @@ _QUOTAS_IN_OUTBOX = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What a worker process is told by its supervisor.
+    """What the supervisor tells a worker process.
 
     Attributes:
         label: Place among the workers, for names and messages, for example ``host-0``.
@@ -46,7 +46,7 @@ class Task:
         connect: Endpoint of the learner.
         num_envs: Environments to step; ``None`` leaves it to the learner.
         outbox_steps: Steps that may wait for an answer.
-        cause: Why the process before it in its place had to be replaced; empty if none had.
+        cause: Why the process before it in this place was replaced; empty if there was no other.
     """
 
     label: str
@@ -61,11 +61,8 @@ class Task:
 class Actor:
     """One actor of a run; its name is new for every process.
 
-    Args:
-        on_failure: Told what ends the actor, before environments are closed: that may hang.
-
-    Attributes:
-        env_id: Of the environment; empty until the learner has told it.
+    ``on_failure`` is called with the error that ends the actor before environments are closed,
+    because closing may hang. ``env_id`` is empty until the learner has told it.
     """
 
     def __init__(
@@ -126,7 +123,7 @@ class Actor:
         config = told.env or EnvConfig(env_id=told.env_id)
         self.env_id = config.env_id
         self._parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
-        # Before it has joined an actor has no place, and so is like all others.
+        # Before it has joined an actor has no place, so all actors use the same seed.
         seed_globals(told.seed)
         with ExitStack() as stack:
             try:
@@ -166,7 +163,7 @@ class Actor:
             notice = self._weights.other_than(known, self._wait_for_weights)
             if notice is None:
                 return
-            # Versions that begin anew are of a learner without the past of the one before.
+            # Versions that begin anew come from a learner without the earlier learner's past.
             begins_anew = self._notice is not None and notice.version < self._notice.version
             if notice.generation != welcome.generation or begins_anew:
                 welcome = self._join(replace(hello, cause=""))
@@ -174,7 +171,7 @@ class Actor:
             if self._notice is None or notice.identity != self._notice.identity:
                 suggester = self._pull() or suggester
                 if welcome.clock == "async" and self._notice is not None:
-                    # What waits long is of weights that are long gone.
+                    # A segment that waits long was made with outdated weights.
                     quota_steps = self._notice.quota_steps * len(environments)
                     self._outbox.narrow(_QUOTAS_IN_OUTBOX * quota_steps)
             if suggester is not None and self._notice is not None:

@@ -1,4 +1,4 @@
-"""A trial of an environment, in a process of its own: what it is, what it does, how fast it is."""
+"""A trial of an environment in its own process: its spaces, its behaviour, its speed."""
 
 import functools
 import re
@@ -29,8 +29,8 @@ def check(config: EnvConfig, on_words: Callable[[str], None]) -> Report:
     """Try an environment; give the JSON object of ``a2s check --json``.
 
     Raises:
-        UsageError: There is no such environment, or its spaces are not supported.
-        FaultyEnvironmentError: It raised, hung, died, or gave what none may.
+        UsageError: The environment does not exist, or its spaces are not supported.
+        FaultyEnvironmentError: It raised, hung, died, or returned something invalid.
     """
     return ask_child(__name__, config, on_words)
 
@@ -93,7 +93,7 @@ def _repeats(environment: Environment, action: Any) -> bool:
 
 
 def _noted(activity: Activity, call: int, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Have a call into an environment on the page, so that each has its own time."""
+    """Note a call into an environment on the page, so that each call has its own time."""
 
     @functools.wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
@@ -107,7 +107,7 @@ def _noted(activity: Activity, call: int, function: Callable[..., Any]) -> Calla
 
 
 def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
-    """What Gymnasium's own checker says of it."""
+    """Return the remarks of Gymnasium's own checker."""
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")

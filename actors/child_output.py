@@ -1,4 +1,4 @@
-"""What a child prints: bytes of any kind, as lines, and no more of them than can be read."""
+"""The output of a child: bytes of any kind, cut into lines, with floods limited."""
 
 import math
 import time

@@ -1,9 +1,8 @@
-"""Processes that run a user's environment: started, heard, watched and ended by their parent.
+"""Processes that run a user's environment: their parent starts, hears, watches and ends them.
 
-A child is a session of its own. Its standard input is empty, and what it prints on either stream,
-or its environment does, are *words*, passed on line by line; what it tells its parent goes through
-a pipe of its own as lines of JSON. It ends when its parent does, and all processes that it has
-started end with it.
+A child is its own session. Its standard input is empty. What it or its environment prints on
+either stream are *words*, passed on line by line; its reports to the parent are lines of JSON
+through a separate pipe. It ends when its parent does, with all processes that it has started.
 """
 
 import contextlib
@@ -36,21 +35,17 @@ _LAST_WORDS_S = 1.0
 _SLOW_S = 10.0
 _STOP_S = 12.0
 _CLOSE_S = 5.0
-UNHEARD = 74  # exit code of a child that can tell its parent nothing more
+UNHEARD = 74  # exit code of a child that can no longer report to its parent
 
 Report = dict[str, Any]
 _LIVING: set[int] = set()  # numbers of the children of this process, and of their guard
-_MARK = uuid.uuid4().hex  # of this process: what its children's families begin with
+_MARK = uuid.uuid4().hex  # beginning of the families of this process's children
 
 
 class Child:
-    """One process.
+    """One process. It runs ``module``, which makes a `a2s.actors.parent.Parent`, with a ``task``.
 
-    Args:
-        module: What it runs, with a :class:`a2s.actors.parent.Parent` to talk to.
-        task: Told to it.
-        on_report: Told what it tells, on a thread of ours.
-        on_words: Told what it prints, line by line, on the same thread.
+    ``on_report`` gets its reports and ``on_words`` the lines that it prints, both on one thread.
     """
 
     def __init__(
@@ -102,7 +97,7 @@ class Child:
         return self._code
 
     def doing(self) -> Doing | None:
-        """Give the call into an environment that it is in."""
+        """Give the present call into an environment."""
         return self._activity.now()
 
     def kill(self) -> int:
@@ -146,7 +141,7 @@ class Child:
         self._reader.join(2 * _LAST_WORDS_S)
 
     def _read(self, report: int, words: int) -> None:
-        """Read until nobody can write, or the child has ended and nothing more comes."""
+        """Read until nobody can write, or until the child has ended and no more data comes."""
         lines = {report: Lines(self._take), words: Words(self._on_words)}
         ended_s = 0.0
         with selectors.DefaultSelector() as selector:
@@ -154,7 +149,7 @@ class Child:
                 selector.register(fd, selectors.EVENT_READ)
             while selector.get_map():
                 ready = selector.select(_LOOK_EVERY_S)
-                if self._code is not None:  # whoever still holds the pipes is none of ours
+                if self._code is not None:  # a process that still holds the pipes is not ours
                     ended_s = ended_s or time.monotonic()
                     if not ready or time.monotonic() - ended_s > _LAST_WORDS_S:
                         break
@@ -175,11 +170,9 @@ class Child:
 
 
 class Watch:
-    """Looks whether a child is held up in an environment.
+    """Detects a child that is held up in an environment for longer than ``timeout_s``.
 
-    Args:
-        timeout_s: Seconds that a call may take.
-        on_slow: Told, once for each call, that one has taken ten seconds.
+    ``on_slow`` is called once for each call that has taken ten seconds.
     """
 
     def __init__(self, env_id: str, timeout_s: float, on_slow: Callable[[str], None]) -> None:
@@ -245,7 +238,7 @@ def ask_child(
 
 
 def death_of(env_id: str, code: int, doing: Doing | None) -> str:
-    """Say how a child ended that told nothing."""
+    """Describe how a child ended that reported nothing."""
     how = f"exit code {code}"
     if code == UNHEARD:
         how = "closing file descriptors that are not its own"
@@ -258,7 +251,7 @@ def death_of(env_id: str, code: int, doing: Doing | None) -> str:
 
 
 def _error_of(report: Report) -> A2SError:
-    """Read an error that a child told."""
+    """Read an error that a child reported."""
     if report["kind"] == "usage":
         return UsageError(report["message"])
     return FaultyEnvironmentError(report["message"], by_mistake=report["by_mistake"])

@@ -1,12 +1,12 @@
-"""Ending all that a child process has started, whatever it has made of itself.
+"""Ends every process that a child has started, even if it changed its group or session.
 
-A process keeps a variable of its environment unless somebody clears it, and belongs to the process
-that started it, or inherits it when that one ends; a process group and a session it may leave.
+A process keeps a variable of its environment unless somebody clears it. It belongs to the process
+that started it; when that one ends, an ancestor inherits it.
 
-Run as a file of its own this is the guard: a process that ends what is left of a parent's children
-when the parent is killed. A child sees the end of its parent by itself, but a thread of Python that
-does so never runs while a call into an environment holds the interpreter. So that it starts in a
-moment, nothing of ours is imported here.
+Run as a file of its own this is the guard: a process that ends the remaining children of a parent
+when the parent is killed. A child notices the end of its parent by itself, but the Python thread
+that does so never runs while a call into an environment holds the interpreter. The guard imports
+nothing of ours, so that it starts quickly.
 """
 
 import atexit
@@ -38,9 +38,9 @@ def inherit_orphans() -> None:
 
 
 def reap_orphans() -> None:
-    """Wait for inherited processes that have ended, which nobody else does.
+    """Wait for inherited processes that have ended; nothing else waits for them.
 
-    A child of ours whose session is neither ours nor one that it has made was not started by us.
+    A child of ours whose session is neither ours nor its own was not started by us.
     """
     with contextlib.suppress(ChildProcessError):  # there are no children
         if os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
@@ -51,13 +51,11 @@ def reap_orphans() -> None:
 
 
 def end_family(family: str, *, living: set[int]) -> None:
-    """Kill what carries the mark of a child, and the orphans that this process has inherited.
+    """Kill the processes with the mark of a child, and the orphans that this process has inherited.
 
-    Orphans are our children in another session than ours that we have not started.
-
-    Args:
-        family: Value of `FAMILY` in the child's environment.
-        living: Children that we have started in sessions of their own.
+    Orphans are our children in another session than ours that we have not started. ``family`` is
+    the value of `FAMILY` in the child's environment; ``living`` are children that we have started
+    in sessions of their own.
     """
     for _ in range(_ROUNDS):
         others = _processes() - {os.getpid()} - living
@@ -73,8 +71,7 @@ def end_family(family: str, *, living: set[int]) -> None:
 def start_guard(mark: str) -> int:
     """Start a guard of this process, which ends with it, and give its process number.
 
-    Args:
-        mark: ``NAME=BEGINNING`` of a variable that all children have in their environment.
+    ``mark`` is the ``NAME=BEGINNING`` of a variable that all children have in their environment.
     """
     guard = subprocess.Popen(
         [sys.executable, "-I", "-S", __file__, mark],
@@ -98,7 +95,7 @@ def _guard(mark: str) -> None:
     deadline_s = time.monotonic() + _GRACE_S
     while left := {pid for pid in _processes() if _is_marked(pid, mark)}:
         if time.monotonic() >= deadline_s:
-            # First what they have started, which may bear no mark.
+            # First the processes that they have started, which may have no mark.
             parents = {pid: _parent_and_session(pid)[0] for pid in _processes()}
             found = set(left)
             while more := {p for p, parent in parents.items() if parent in found} - found:

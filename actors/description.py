@@ -1,6 +1,6 @@
 """The spaces of an environment, read in a short process of its own: ``python -m`` this module.
 
-A learner plays nothing: whatever an environment holds, changes or starts is gone with the process.
+A learner does not play: whatever an environment holds, changes or starts ends with the process.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ _SEED = 0
 
 
 class Description(NamedTuple):
-    """What a learner has to know of an environment.
+    """The facts about an environment that a learner needs.
 
     Attributes:
         spaces: As flat Boxes.
@@ -39,13 +39,11 @@ def describe(
 ) -> Description | None:
     """Make the environment once, reset it, and close it, in another process.
 
-    Args:
-        config: Of the environment.
-        on_words: Told what it prints, and what takes long.
-        proceed: Asked again and again; when false, the process is ended, and there is no result.
+    ``on_words`` gets what it prints and which calls are slow. ``proceed`` is called repeatedly;
+    when it returns false, the process is ended and there is no result.
 
     Raises:
-        UsageError: There is no such environment, or its spaces are not supported.
+        UsageError: The environment does not exist, or its spaces are not supported.
         FaultyEnvironmentError: It raised, hung or died.
     """
     found = ask_child(__name__, config, on_words, proceed)
@@ -60,9 +58,9 @@ def describe(
 
 
 def offset_of(obs: npt.NDArray[np.float64]) -> Array | None:
-    """Choose what is taken off observations: the first one's large numbers, in float32.
+    """Choose the offset of observations: the large numbers of the first one, in float32.
 
-    float32 has seven digits; a number of a million that changes by a hundredth would not change.
+    float32 has seven digits: in a number of a million a change of a hundredth would be lost.
     """
     with np.errstate(over="ignore"):
         large = np.where(np.abs(obs) >= _LARGE, obs, 0.0).astype(np.float32)

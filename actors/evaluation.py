@@ -1,4 +1,4 @@
-"""Fresh episodes with a policy that no longer changes, in a process of their own."""
+"""Fresh episodes with a fixed policy, in a process of their own."""
 
 import json
 import logging
@@ -29,12 +29,12 @@ _EVALUATION = 0xE7A1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """What a policy reached.
+    """The result of evaluating a policy.
 
     Attributes:
         returns: Undiscounted return of each episode.
         lengths: Steps of each episode.
-        metrics: Mean over the episodes of what the environment told at their ends, by name.
+        metrics: Mean over the episodes of the environment's metrics at their ends, by name.
     """
 
     returns: list[float]
@@ -56,7 +56,7 @@ def read_policy(path: Path, mode: Mode) -> Suggester:
     """Load a policy file.
 
     Raises:
-        UsageError: There is no such file, or it is not a policy.
+        UsageError: The file does not exist, or is not a policy.
     """
     try:
         return Suggester(path.read_bytes(), mode)
@@ -77,17 +77,11 @@ def evaluate(
     on_words: Callable[[str], None],
     proceed: Callable[[], bool] = lambda: True,
 ) -> Evaluation | None:
-    """Play episodes in another process.
+    """Play episodes in another process, in at most ``num_envs`` environments side by side.
 
-    Args:
-        path: Of the policy.
-        mode: How it acts.
-        config: Of the environment.
-        episodes: Number of them.
-        num_envs: Environments at most, side by side.
-        seed: Makes the same episodes again; never those of training.
-        on_words: Told what the environment prints, and what takes long.
-        proceed: Asked again and again; when false, the process is ended, and there is no result.
+    The same ``seed`` gives the same episodes; they are never those of training. ``on_words`` gets
+    what the environment prints and which calls are slow. ``proceed`` is called repeatedly; when it
+    returns false, the process is ended and there is no result.
 
     Raises:
         UsageError: The environment cannot be made, or does not fit the policy.
@@ -118,10 +112,9 @@ def _play(
 
 
 class _Episodes:
-    """Episodes that are played in a few environments, each from a seed of its own.
+    """Episodes in a few environments, each from a seed of its own.
 
-    Attributes:
-        obs: Latest observation of each environment that still plays, by its index.
+    ``obs`` has the latest observation of each environment that still plays, by its index.
     """
 
     def __init__(self, environments: list[Environment], seeds: list[int]) -> None:
@@ -163,7 +156,7 @@ class _Episodes:
         self.obs[index] = self._environments[index].reset(self._seeds[self._episode[index]])
 
     def evaluation(self) -> Evaluation:
-        """Add it up, and say what was unusual."""
+        """Sum up the episodes, and report unusual ones."""
         name = self._environments[0].name
         if self._cut:
             logger.warning(

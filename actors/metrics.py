@@ -1,7 +1,7 @@
-"""What actors count, in metrics of Prometheus; ``docs/metrics.md`` explains every name.
+"""The Prometheus metrics of actors; ``docs/metrics.md`` explains every name.
 
-Worker processes report their samples to the supervisor, which serves the sums: so one port serves
-all, a replaced worker's counters go on, and no environment that forks or closes can harm a count.
+Worker processes report their samples to the supervisor, which serves the sums: one port serves
+all, a replaced worker's counters go on, and an environment that forks or closes cannot change them.
 """
 
 import contextlib
@@ -114,7 +114,7 @@ class ActorMetrics:
         return counter
 
     def _gauge(self, name: str, text: str) -> Gauge:
-        """Make a gauge that is NaN, and is not exported, until there is something to show."""
+        """Make a gauge that is NaN, and is not exported, until it has a value."""
         gauge = Gauge(f"a2s_actor_{name}", text, registry=self.registry)
         gauge.set(math.nan)
         return gauge
@@ -123,11 +123,11 @@ class ActorMetrics:
         return Histogram(f"a2s_actor_{name}", text, buckets=buckets, registry=self.registry)
 
     def report(self) -> dict[str, Any]:
-        """Give everything that was counted, and the segments that were of use."""
+        """Give all counts, and the number of useful segments."""
         return {"samples": self.samples(), "accepted": total(self.acks.labels("accepted"))}
 
     def samples(self) -> list[Sample]:
-        """Give everything that was counted, and what this process uses by now."""
+        """Give all counts, and the resources that this process uses."""
         cpu_s = time.process_time()
         self.cpu_seconds.inc(cpu_s - self._cpu_s)
         self._cpu_s = cpu_s
@@ -148,8 +148,7 @@ def total(counter: Counter) -> float:
 class Fleet(Collector):
     """The metrics of all workers of one ``a2s actor``, labelled with ``worker``.
 
-    Attributes:
-        registry: These, those of the supervisor and of its process.
+    ``registry`` has these, those of the supervisor and those of its process.
     """
 
     def __init__(self, num_workers: int) -> None:
@@ -184,7 +183,7 @@ class Fleet(Collector):
         self._up.labels(worker).set(1)
 
     def ended(self, worker: int) -> None:
-        """A worker process ended: keep what it counted, not the state that it was in."""
+        """A worker process ended: keep its counts, but not its state."""
         with self._lock:
             counted = self._sum(worker).items()
             self._past[worker] = {k: value for k, value in counted if k[0] not in self._gauges}
@@ -196,7 +195,7 @@ class Fleet(Collector):
         self._restarts.labels(worker).inc()
 
     def collect(self) -> Iterator[Metric]:
-        """Give the sums of all processes that have been a worker, for each."""
+        """Give, for each worker, the sums of all its processes so far."""
         found = {m.name: Metric(m.name, m.documentation, m.type) for m in self._metrics}
         with self._lock:
             for worker in range(len(self._past)):

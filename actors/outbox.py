@@ -1,4 +1,4 @@
-"""The way out: a bounded queue that keeps every segment until the learner has answered it."""
+"""A bounded queue that keeps every segment until the learner has answered it."""
 
 import contextlib
 import random
@@ -28,13 +28,10 @@ class Outbox:
     """Sends segments in order, one at a time, each until it is answered.
 
     At least once on the wire: a segment without an answer is sent again, the same bytes. When the
-    outbox is full :meth:`put` blocks, so that a learner that is away holds the actor back instead
-    of filling its memory.
-
-    Args:
-        capacity_steps: Steps that may wait, in at most 256 MiB; at least one segment always fits.
-        on_ack: Told every answer, on the sender's thread.
-        on_unknown: Told that the learner does not know this actor, on the sender's thread.
+    outbox is full :meth:`put` blocks, so that an absent learner holds the actor back instead of
+    filling its memory. ``capacity_steps`` may wait, in at most 256 MiB; at least one segment always
+    fits. On the sender's thread, ``on_ack`` gets every answer, and ``on_unknown`` is called when
+    the learner does not know this actor.
 
     Attributes:
         steps: Steps that wait for an answer.
@@ -66,7 +63,7 @@ class Outbox:
         metrics.outbox.set(0)
 
     def narrow(self, steps: int) -> None:
-        """Let at most this many steps wait from now on, or what it was made for if that is less."""
+        """Lower the limit of waiting steps, never above the capacity it was made with."""
         with self._changed:
             self._capacity_steps = min(self._made_for_steps, steps)
             self._changed.notify_all()
@@ -96,7 +93,7 @@ class Outbox:
         """Stop taking, send what waits, and end the thread; give the count of unanswered segments.
 
         It takes ``timeout_s`` seconds and one request at most. A learner that does not answer is
-        not asked again: mostly its run is over.
+        not asked again: usually its run is over.
         """
         with self._changed:
             self._draining = True

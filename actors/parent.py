@@ -1,4 +1,4 @@
-"""What a child process has of its parent: a task, a way to report, and its end."""
+"""The link of a child process to its parent: a task, a way to report, and its end."""
 
 import contextlib
 import json
@@ -21,14 +21,14 @@ _REAP_EVERY_S = 1.0
 
 
 class Parent:
-    """The parent's end of this process; made first of all in it.
+    """The parent's end of this process; a process makes it first.
 
-    The working directory is searched for modules after all else, so that a user's own are found
-    and none of ours, or of Python, is hidden by one of the same name.
+    The working directory is searched for modules last, so that a user's own are found but do not
+    hide ours, or Python's, of the same name.
 
     Attributes:
-        task: What the parent told.
-        stderr: Where this process says what it has to say.
+        task: The parent's message.
+        stderr: Stream for the messages of this process.
         activity: The page on which calls into environments are noted.
         stopped: Set when the parent lets this process stop, or has died.
     """
@@ -69,7 +69,7 @@ class Parent:
                 self.leave(UNHEARD)
 
     def leave(self, code: int) -> None:
-        """End this process at once, and its family: the parent may end before it could do so."""
+        """End this process and its family at once: the parent may end before it could do so."""
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):  # it may be a user's own by now
                 stream.flush()
@@ -90,7 +90,7 @@ class Parent:
 
 
 def answer(work: Callable[[Parent], None]) -> None:
-    """Do what a child that reports one ``result`` does, and end this process."""
+    """Run a child that reports one ``result``, and end this process."""
     parent = Parent(sys.argv[1:])
     try:
         work(parent)
@@ -103,20 +103,20 @@ def answer(work: Callable[[Parent], None]) -> None:
 
 
 def told(error: A2SError) -> Report:
-    """Write an error for a parent."""
+    """Encode an error for a parent."""
     by_mistake = getattr(error, "by_mistake", False)
     kind = "usage" if isinstance(error, UsageError) else "faulty"
     return {"kind": kind, "message": str(error), "by_mistake": by_mistake}
 
 
 class _Logger(logging.Logger):
-    """Makes a logger of ours one that no configuration of an environment silences."""
+    """Makes one of our loggers ignore any logging configuration of an environment."""
 
     ours: logging.Handler
 
     @classmethod
     def take(cls, handler: logging.Handler) -> None:
-        """Have all loggers of ours write to a handler."""
+        """Send the output of all our loggers to a handler."""
         cls.ours = handler
         for name in [name for name in logging.root.manager.loggerDict if name.startswith("a2s.")]:
             logging.getLogger(name).__class__ = cls

@@ -14,7 +14,7 @@ from a2s.protocol.fields import Array
 
 
 class Policy:
-    """A trained policy.
+    """A trained policy. ``seed`` is for the noise, in the modes that use any.
 
     Attributes:
         env_id: The environment that it was trained on.
@@ -22,10 +22,6 @@ class Policy:
             a stack from the oldest to the newest.
         action_size: Numbers of an action, A.
         weights_version: Version of its weights.
-
-    Args:
-        suggester: The graph.
-        seed: Of the noise, in the modes that have any.
     """
 
     def __init__(self, suggester: Suggester, seed: int) -> None:
@@ -38,16 +34,13 @@ class Policy:
         self._suggester, self._rng = suggester, np.random.default_rng(seed)
 
     def __call__(self, obs: npt.ArrayLike) -> Array:
-        """Choose actions.
-
-        Args:
-            obs: As the environment gives it: one observation ``[D]``, or several ``[B, D]``.
+        """Choose actions for one observation ``[D]`` of the environment, or several ``[B, D]``.
 
         Returns:
             In the environment's units and bounds, float32 ``[A]`` or ``[B, A]``.
 
         Raises:
-            UsageError: The observations are of another size.
+            UsageError: The observations have another size.
         """
         if isinstance(obs, dict):
             raise UsageError(
@@ -67,7 +60,7 @@ def load_policy(path: Path, mode: str, seed: int) -> Policy:
     """Load the policy of a run directory, the best if there is one, or a policy file.
 
     Raises:
-        UsageError: There is no policy, or no such mode.
+        UsageError: There is no policy, or the mode is unknown.
     """
     if path.is_dir():
         best, latest = (path / which / "policy.onnx" for which in ("best", "latest"))
@@ -79,7 +72,7 @@ def mode_of(name: str) -> Mode:
     """Read the name of a way to act.
 
     Raises:
-        UsageError: There is no such mode.
+        UsageError: The mode is unknown.
     """
     for mode in get_args(Mode):
         if mode == name:

@@ -17,7 +17,7 @@ from a2s.protocol.fields import Array
 from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric, Notice, Segment
 
 _MAX_USELESS_IN_A_ROW = 10
-_SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for what is not rows
+_SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for all but the rows
 _FLOAT_BYTES = 4
 # An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
 ENDLESS_STEPS = 10_000
@@ -46,7 +46,7 @@ class _Slot:
         self.episode_length = 0
 
     def has_met(self, notice: Notice) -> bool:
-        """Whether its quota is played."""
+        """Whether its quota has been played."""
         if self.quota_steps < notice.quota_steps:
             return False
         if notice.quota_episodes == 0:
@@ -59,18 +59,12 @@ class _Slot:
 
 
 class Rollout:
-    """Plays B environments with the weights that it is given.
+    """Plays B environments, at least one, with the given weights; it resets them itself.
 
-    A step whose numbers cannot be sent is dropped and the episode cut before it; what is dropped
-    is made up for, so that the quota is always delivered.
-
-    Args:
-        actor: Name to send under.
-        environments: At least one; the rollout resets them.
-        seed: Seeds the environments, ``random``, ``np.random`` and the suggestions' noise.
-
-    Attributes:
-        segments_made: Count of the segments that were yielded.
+    A step with unusable numbers is dropped and the episode cut before it. Dropped steps are played
+    again, so that the quota is always delivered. ``actor`` is the name to send under; ``seed`` is
+    for the environments, ``random``, ``np.random`` and the suggestions' noise.
+    ``segments_made`` counts the segments that were yielded.
     """
 
     def __init__(
@@ -106,10 +100,10 @@ class Rollout:
 
         Every environment makes ``quota_steps`` steps that can be sent; with ``quota_episodes`` it
         goes on to the end of the episode in which both are reached. Episodes go on across calls.
-        ``interrupted`` is asked before every step; when true, what has been played is yielded.
+        ``interrupted`` is called before every step; when true, the steps played so far are yielded.
 
         Raises:
-            FaultyEnvironmentError: An environment raised, or gives nothing that can be used.
+            FaultyEnvironmentError: An environment raised, or gives only unusable values.
         """
         playing = self._slots
         for slot in self._slots:
@@ -136,7 +130,7 @@ class Rollout:
             yield from self._cut(slot, notice)
 
     def _finish_quota(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
-        """Send what is left of a quota that is met; what turns out unusable has to be played."""
+        """Send the rest of a quota that is met; steps that prove unusable must be played again."""
         yield from self._drop_unusable([slot], notice)
         if slot.has_met(notice):
             yield from self._cut(slot, notice)
@@ -160,7 +154,7 @@ class Rollout:
         slot.episode_length += 1
         slot.quota_steps += 1
         if terminated and not is_usable(obs):
-            obs = slot.obs  # nobody looks at it: the value of a terminal state is 0
+            obs = slot.obs  # not used: the value of a terminal state is 0
         slot.obs = obs
         if terminated or truncated:
             return self._end(slot, notice, terminated=terminated, truncated=truncated)
@@ -250,7 +244,7 @@ class Rollout:
         self._metrics.episode_length.observe(slot.episode_length)
 
     def _count_dropped(self, slot: _Slot, steps: int, what: str, *, is_useless: bool) -> None:
-        """Count and say what is dropped; an environment that gives nothing else is broken."""
+        """Count and report dropped steps; an environment that gives nothing else is broken."""
         self._metrics.dropped.labels("malformed").inc(steps)
         self._troubles.dropped(slot.environment.name, what, steps)
         slot.useless += is_useless
@@ -263,7 +257,7 @@ class Rollout:
 
 
 def is_usable(obs: Array) -> bool:
-    """Whether all numbers can be sent: the square of one that cannot is too large, or none."""
+    """Whether all numbers can be sent: the square of any other is too large or not a number."""
     flat = obs.reshape(-1)
     square = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
     return square <= MAX_PLAYED * MAX_PLAYED or bool((np.abs(flat) <= MAX_PLAYED).all())

@@ -1,6 +1,6 @@
-"""The only door to ONNX Runtime: the published graph turns observations into actions.
+"""The only use of ONNX Runtime: the published graph turns observations into actions.
 
-The graph draws nothing itself: whoever runs it passes the noise, and by it chooses the mode
+The graph draws nothing itself: its caller passes the noise, and thereby chooses the mode
 (docs/protocol.md, "The graph").
 """
 
@@ -17,7 +17,7 @@ _TINY = np.float32(1e-20)
 
 
 class Choice(NamedTuple):
-    """What the graph chose for B observations.
+    """The graph's choice for B observations.
 
     Attributes:
         action: In the environment's units and bounds, float32 ``[B, A]``.

@@ -22,12 +22,12 @@ _DEATHS_WITHOUT_WORK = 5
 _STOP_S = 12.0
 _FAILED_S = 2.0
 _POLL_S = 0.1
-_MAX_SILENT_S = 60.0  # of a worker that reports once a second and is in no call
+_MAX_SILENT_S = 60.0  # for a worker outside any call, which reports once a second
 
 
 @dataclass(slots=True)
 class _Worker:
-    """One place and the process that holds it now."""
+    """One place and its present process."""
 
     task: Task
     watch: Watch
@@ -37,7 +37,7 @@ class _Worker:
     accepted: float = 0.0
     error: str = ""
     is_hopeless: bool = False
-    silent_s: float = 0.0  # counted by looks, so that none is late when all were suspended
+    silent_s: float = 0.0  # counted in checks, so that no worker is late after all were suspended
 
 
 class Supervisor:
@@ -137,7 +137,7 @@ class Supervisor:
 
 
 def _relay(index: int) -> Callable[[str], None]:
-    """Pass a worker's words on, with its number before them."""
+    """Pass a worker's words on, prefixed with its number."""
 
     def write(line: str) -> None:
         with contextlib.suppress(OSError, ValueError):  # nobody reads it; the work goes on

@@ -1,4 +1,4 @@
-"""What an environment does that is not fatal and should be known: counted always, said seldom."""
+"""Non-fatal troubles of an environment: always counted, rarely reported."""
 
 import logging
 
@@ -6,11 +6,11 @@ logger = logging.getLogger(__name__)
 
 
 class Troubles:
-    """Counts troubles; says the 1st, 2nd, 4th, 8th and so on of each kind.
+    """Counts troubles; reports the 1st, 2nd, 4th, 8th and so on of each kind.
 
     Attributes:
         dropped_steps: Steps that could not be used.
-        latest: The latest trouble in one line; empty if there was none.
+        latest: The latest trouble in one line; empty if there was no trouble.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The newest weights: announced by the learner, remembered here, pulled when they are wanted."""
+"""The newest weights: announced by the learner, remembered here, fetched on demand."""
 
 import hashlib
 import threading
@@ -17,9 +17,9 @@ _ASK_EVERY_S = 1.0
 class WeightsClient:
     """Keeps the newest notice, and fetches the weights that it announces.
 
-    An announcement can be lost, so while an actor waits it also asks, once a second. One that is
+    An announcement can be lost, so a waiting actor also asks, once a second. An announcement
     older than the known notice came late and is ignored. An answer is always taken: if it is older,
-    another learner gives it, which does not know what the one before had published.
+    it comes from another learner, which does not know what the one before had published.
     """
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
@@ -31,7 +31,7 @@ class WeightsClient:
         bus.subscribe(keys.notice, lambda payload: self._take(decode(payload, Notice)))
 
     def hear(self, ack: Ack) -> None:
-        """Have the notice asked for if an acknowledgement names other weights."""
+        """Request the notice if an acknowledgement names other weights."""
         with self._changed:
             known = self._notice
             if known is None or (ack.generation, ack.weights_version) != known.identity:
@@ -39,7 +39,7 @@ class WeightsClient:
                 self._changed.notify_all()
 
     def forget(self) -> None:
-        """Forget the notice, and have it asked for."""
+        """Forget the notice, and request it."""
         with self._changed:
             self._notice, self._asking = None, True
 
@@ -51,9 +51,9 @@ class WeightsClient:
         )
 
     def other_than(self, notice: Notice | None, proceed: Callable[[], bool]) -> Notice | None:
-        """Wait for weights other than these, with ``None`` for any; give their notice.
+        """Wait for weights other than these (``None``: for any); give their notice.
 
-        ``proceed`` is asked at least once a second; when it is false, the wait ends with ``None``.
+        ``proceed`` is called at least once a second; when it is false, the wait ends with ``None``.
         """
         known = None if notice is None else notice.identity
         while proceed():

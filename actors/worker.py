@@ -35,7 +35,9 @@ def main() -> None:
         code = 0 if parent.stopped.is_set() else 1
         if not isinstance(error, A2SError):
             with suppress(OSError):  # nobody may be there to read it
-                traceback.print_exc(file=parent.stderr)  # a fault of ours: all of it is of use
+                traceback.print_exc(
+                    file=parent.stderr
+                )  # a fault of ours: print the whole traceback
             error = Faults(actor.env_id if actor else "").raised("its process", error)
         on_failure(error)  # once more, if the actor has told it; it is the same
     parent.report(metrics.report())
@@ -43,7 +45,7 @@ def main() -> None:
 
 
 def _is_hopeless(error: A2SError, task: Task, metrics: ActorMetrics) -> bool:
-    """Whether it would come again, so that starting another process is of no use."""
+    """Whether the error would recur, so that starting another process is useless."""
     if isinstance(error, FaultyEnvironmentError):
         never_worked = not task.cause and not total(metrics.env_steps)
         return error.by_mistake or never_worked

@@ -1,4 +1,4 @@
-"""Where the steps of a run come from, as the learner's loop sees it."""
+"""The source of a run's steps, as the learner's loop sees it."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Self
@@ -9,7 +9,7 @@ from a2s.protocol.messages import RecoveryEvent, RunStatus, Segment
 
 
 class Episode(NamedTuple):
-    """An episode that ended; ``metrics`` is what its environment told, by name."""
+    """An episode that ended; ``metrics`` are those of its environment, by name."""
 
     weights_version: int
     episode_return: float
@@ -29,7 +29,7 @@ class Arrival(NamedTuple):
 
     @classmethod
     def of(cls, segment: Segment, slot: int) -> Self:
-        """What is counted of a segment from the actor at a place."""
+        """The counts of a segment from the actor at a place."""
         episode = None
         if segment.ends_episode:
             episode = Episode(
@@ -43,7 +43,7 @@ class Arrival(NamedTuple):
 
 
 class Attendance(NamedTuple):
-    """The actors present, by slot, and what came of all segments so far."""
+    """The actors present, by slot, and the fate of all segments so far."""
 
     members: tuple[Member, ...] = ()
     pending_steps: int = 0
@@ -55,27 +55,27 @@ class Feed:
     """A feed without actors; `ingest.server.Server` is the one with them."""
 
     def open(self, status: Callable[[], RunStatus]) -> None:
-        """Begin; who asks for the status is given it."""
+        """Begin; requests for the status are answered with it."""
 
     def next_version(self, version: int) -> int:
-        """What the weights after a version are called."""
+        """The version after this one."""
         return version + 1
 
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
         """Give the present networks to the actors under this version."""
 
     def announce_recovery(self, event: RecoveryEvent) -> None:
-        """Tell everybody who listens that the learner went back."""
+        """Announce to all listeners that the learner went back."""
 
     def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
         """Wait until the next batch is stored.
 
-        Args:
-            proceed: Told what is waited for, about once a second; when false, the wait ends.
+        ``proceed`` is given what the batch waits for about once a second; when it returns false, the
+        wait ends.
 
         Returns:
-            What it is made of, in an order that does not depend on the order of arrival; empty
-            when told not to proceed.
+            Its arrivals, in an order that does not depend on the order of arrival; empty if the wait
+            was ended.
 
         Raises:
             A2SError: Steps cannot be stored, or the replay cannot be reached.

@@ -27,20 +27,12 @@ from a2s.protocol.messages import RecoveryEvent
 class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
-    Args:
-        run: Options of the run.
-        trainer: Learns; closed at the end.
-        connect: Makes the feed of a generation, which is told where events go.
-        env_steps: Steps that earlier starts took.
-        path: Directory of the run.
-        kind: Of the run, in words; it cannot go on from checkpoints of another kind.
-        spaces: Of the environment.
-        saved: A checkpoint to go on from.
-        metrics: What it shows.
-        view: Where progress is shown.
+    ``connect`` makes the feed of a generation and is given the handler of events. ``env_steps`` are
+    those of earlier starts. ``kind`` names the kind of run; checkpoints of another kind are refused.
+    ``saved`` is a checkpoint to go on from. The trainer is closed at the end.
 
     Raises:
-        RunDirectoryError: ``path`` cannot be written, or is not as it was left.
+        RunDirectoryError: ``path`` cannot be written, or has changed since it was saved.
     """
 
     def __init__(
@@ -139,8 +131,8 @@ class Learner:
     def _recover(self, outcome: Outcome, proceed: Callable[[str], bool]) -> None:
         """Broadcast and write down a recovery; the restored networks are published next.
 
-        What is being played meanwhile is waited for, though not learned from: environments are at
-        the same step in every run then.
+        Steps in play are waited for, though not learned from: so environments are at the same step in
+        every run.
         """
         status, decision = self._status, outcome.decision
         assert decision is not None
@@ -163,7 +155,7 @@ class Learner:
             self._wait_for_batch(proceed)
 
     def _publish(self) -> None:
-        """Give the networks to the actors while there is something to play."""
+        """Give the networks to the actors unless the run is at its end."""
         status = self._status
         version = self._feed.next_version(status.version)
         if not status.is_finished:
@@ -176,7 +168,7 @@ class Learner:
         self._metrics.epoch.set(status.num_recoveries)
 
     def _record(self, outcome: Outcome) -> None:
-        """Write a row, and keep what is due to be kept."""
+        """Write a row, and save what is due."""
         status, run = self._status, self._status.run
         before, status.updates = status.updates, self._trainer.updates
         self._directory.update({**outcome.row, **status.position()})

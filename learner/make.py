@@ -42,15 +42,9 @@ def make_learner(
 ) -> Learner:
     """Make the learner of a run with actors.
 
-    Args:
-        configuration: Of the run.
-        spaces: Of its environment.
-        layout: Names and sizes of the parts of an observation, in the order of its numbers.
-        bus: A connection on which actors find it; closed at the end.
-        path: Directory of the run.
-        metrics: Of this process.
-        view: Where progress is shown.
-        resume: Go on from the newest checkpoint in ``path``.
+    Actors find it on ``bus``, which is closed at the end. ``layout`` has names and sizes of the
+    parts of an observation, in the order of its numbers. With ``resume`` it goes on with the newest
+    checkpoint in ``path``.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or resumed.
@@ -156,7 +150,7 @@ def make_off_policy(
 def _off_policy(
     run: RunConfig, spaces: Spaces, hyper: OffPolicyConfig, saved: Saved | None
 ) -> tuple[OffPolicy, int]:
-    """Make the algorithm in the state to go on from, after so many updates."""
+    """Make the algorithm in the state to go on from, after this number of updates."""
     algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, run.seed, run.device)
     if saved is None:
         return algorithm, 0
@@ -174,7 +168,7 @@ def _connect(
     generation: int,
     on_event: Callable[..., None],
 ) -> Server:
-    """Make what actors find on the bus; it answers once it is opened."""
+    """Make the feed that actors find on the bus; it answers once it is opened."""
     lag, suggestion = store.max_policy_lag, store.max_suggestion
     admission = Admission(run, spaces, generation, lag, suggestion)
     ingest = Ingest(admission, ledger, metrics, on_event, store)

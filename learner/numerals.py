@@ -22,11 +22,7 @@ def whole(given: str | float) -> int:
 
 
 def written(value: float) -> str:
-    """Write a return so that it says something at any size: ``3193.4``, ``-3.21e-06``, ``1e+09``.
-
-    Args:
-        value: A return, or a deviation of returns.
-    """
+    """Write a return, or a deviation, legibly at any size: ``3193.4``, ``-3.21e-06``, ``1e+09``."""
     size = abs(value)
     if size == 0.0:
         return "0.0"  # and not -0.0

@@ -1,4 +1,4 @@
-"""The off-policy variant: what a replay holds is learned from again and again."""
+"""The off-policy variant: learns from a replay again and again."""
 
 import math
 import time
@@ -51,11 +51,7 @@ def draw_returns(replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Gener
 
 
 class Source(Protocol):
-    """Where batches come from: the run's own replay, or another run's.
-
-    Attributes:
-        columns: Of ``updates.csv``, its own ones.
-    """
+    """The source of batches: the run's own replay, or another run's. Its `columns` are its own ones."""
 
     columns: tuple[str, ...]
 
@@ -93,15 +89,10 @@ class Source(Protocol):
 
 
 class OffPolicyTrainer:
-    """Algorithm 2 of the paper and what goes past it: a `Trainer`.
+    """Algorithm 2 of the paper and its extensions: a `Trainer`.
 
-    Args:
-        algorithm: What learns, in the state to go on from.
-        source: Where batches come from.
-        spaces: Of the environment.
-        metadata: Of every graph.
-        metrics: Where updates are shown.
-        updates: Made so far.
+    ``algorithm`` is in the state to go on from, after ``updates`` updates; batches come from
+    ``source``; every graph has ``metadata``.
     """
 
     overlaps_learning = False
@@ -156,7 +147,7 @@ class OffPolicyTrainer:
         return Outcome(row | dict(self._source.end_round(means.count, update_s)))
 
     def state(self) -> Saved:
-        """Of the algorithm and the source.
+        """The state of the algorithm and the source.
 
         Raises:
             A2SError: The networks are no longer finite.

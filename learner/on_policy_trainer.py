@@ -1,4 +1,4 @@
-"""The on-policy variant: every batch is learned from once."""
+"""The on-policy variant: learns from every batch once."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,13 +31,7 @@ COLUMNS = (
 class OnPolicyTrainer:
     """Algorithm 1 of the paper, or A2C: a `Trainer`, and the `Store` of its batches.
 
-    Args:
-        spaces: Of the environment.
-        hyper: Hyperparameters.
-        seed: Of the run.
-        metadata: Of every graph.
-        metrics: Where updates are shown.
-        saved: A `state` to go on from.
+    Every graph has ``metadata``; ``saved`` is a `state` to go on from.
 
     Raises:
         RunDirectoryError: ``saved`` does not fit.
@@ -93,7 +87,7 @@ class OnPolicyTrainer:
         self._batch = [segment for _, segment in stored]
 
     def hold_s(self, num_batches: float) -> float:
-        """A little while a batch waits: what is played meanwhile may be stale."""
+        """A short time while a batch waits: steps played meanwhile may be stale."""
         return _HOLD_S if num_batches >= 1 else 0.0
 
     def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
@@ -113,11 +107,11 @@ class OnPolicyTrainer:
         return Outcome(asdict(stats) | tested, stats.kl, stats.recovery, stats.restored_version)
 
     def state(self) -> Saved:
-        """Of the algorithm."""
+        """The state of the algorithm."""
         return self._algorithm.state()
 
     def close(self) -> None:
-        """There is no file."""
+        """There are no files to close."""
 
 
 def to_batch(segments: Sequence[Segment]) -> Batch:

@@ -29,22 +29,15 @@ class OtherReplay:
     """The `Source` of an `OffPolicyTrainer`; the next batch is fetched while one is learned from.
 
     Nothing is changed there: priorities are the other learner's own. Every draw has a generator of
-    its own, so that a batch drawn ahead of a checkpoint is drawn again.
-
-    Args:
-        replay: Where to draw.
-        size: Asks how many transitions it holds now.
-        max_size: How many it comes to hold at most: its capacity, or what is stored.
-        spaces: Of its environment.
-        hyper: Hyperparameters.
-        seed: Of this run.
-        metrics: Where its size is shown.
+    its own, so that a batch drawn ahead of a checkpoint is drawn again. ``size`` returns the number of
+    transitions it holds now; ``max_size`` is the most it will ever hold: its capacity, or its stored
+    rows.
 
     Attributes:
-        wanted: Transitions to wait for: as many as with actors, or all there can be.
+        wanted: Transitions to wait for: as with actors, or all there can be if that is less.
 
     Raises:
-        UsageError: The replay never holds as much as a batch.
+        UsageError: The replay never holds a whole batch.
     """
 
     columns: tuple[str, ...] = ("replay_rows",)
@@ -119,13 +112,7 @@ class OtherReplay:
 
 
 class ReplayFeed(Feed):
-    """Every batch is a round of updates, worth so many steps.
-
-    Args:
-        source: The replay.
-        trainer: Learns from it.
-        utd_ratio: What a step is worth.
-    """
+    """Every batch is a round of updates, worth a number of steps: ``utd_ratio`` updates a step."""
 
     def __init__(self, source: OtherReplay, trainer: Trainer, utd_ratio: float) -> None:
         self._source, self._trainer = source, trainer

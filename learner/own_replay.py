@@ -28,20 +28,10 @@ _MIN_HOLD_S = 0.02
 
 
 class OwnReplay:
-    """A `Store` and the `Source` of an `OffPolicyTrainer`: its rows are the road between them.
+    """A `Store` and the `Source` of an `OffPolicyTrainer`: segments go in, batches come out.
 
-    Args:
-        path: Its directory.
-        env_id: Environment.
-        spaces: Its spaces.
-        hyper: Hyperparameters.
-        seed: Of the draws.
-        ledger: Knows which segments were acknowledged.
-        metrics: Where its state is shown.
-        saved: A `state` to go on from; rows inserted since then belong to the next batch.
-
-    Attributes:
-        replay: The rows.
+    ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
+    inserted since then belong to the next batch. ``replay`` has the rows.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.

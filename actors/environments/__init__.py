@@ -1,1 +1,1 @@
-"""The room of Gymnasium: a user's environment is made, stepped, read and blamed here."""
+"""Gymnasium's room: a user's environment is made, stepped and read here, and its faults named."""

@@ -1,4 +1,4 @@
-"""One environment that speaks float32, whatever the user's own one speaks."""
+"""One environment with a float32 interface, whatever the user's own one uses."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -21,11 +21,11 @@ logger = logging.getLogger(__name__)
 
 
 class Environment:
-    """One environment, from its making to its close.
+    """One environment, from construction to close.
 
-    What is taken from it is copied, and so are the actions that it gets: it may fill one buffer
-    again and again. What it gives may come in any shape, dtype or kind of sequence that has the
-    right count of numbers.
+    Observations and actions are copied, because it may reuse one buffer. Its values may come in
+    any shape, dtype or kind of sequence that has the right count of numbers. ``activity`` notes
+    every call into it; ``offset``, float32 ``[D]``, is subtracted from observations.
 
     Attributes:
         name: Its id, for the user.
@@ -33,14 +33,8 @@ class Environment:
         layout: Parts of an observation and their sizes, in the order of its numbers.
         episode_limit: Steps after which Gymnasium truncates an episode; ``None``: never.
 
-    Args:
-        worker: Number of the actor process.
-        index: Of the environment in the process.
-        activity: Where every call into it is noted.
-        offset: Taken off observations, float32 ``[D]``.
-
     Raises:
-        UsageError: There is no such environment, or its spaces are not supported.
+        UsageError: The environment does not exist, or its spaces are not supported.
         FaultyEnvironmentError: Its constructor raised.
     """
 
@@ -91,12 +85,12 @@ class Environment:
         A seed begins a reproducible series of episodes; ``None`` goes on with the present one.
 
         Raises:
-            FaultyEnvironmentError: It raised, or returned what no reset may.
+            FaultyEnvironmentError: It raised, or returned something invalid.
         """
         return self._obs("reset", self._reset(seed))
 
     def first_obs(self, seed: int) -> npt.NDArray[np.float64]:
-        """Begin an episode like :meth:`reset`; give what it observed as float64, ``[D]``."""
+        """Begin an episode like :meth:`reset`; give its observation as float64, ``[D]``."""
         obs = self._reset(seed)
         self._obs("reset", obs)
         return self._observations.exact(obs)
@@ -123,7 +117,7 @@ class Environment:
             ``terminated`` and ``truncated``; never both, a terminal state wins.
 
         Raises:
-            FaultyEnvironmentError: It raised, or returned what no step may.
+            FaultyEnvironmentError: It raised, or returned something invalid.
         """
         own = action.astype(self._action_dtype) if self._is_plain else self._converted(action)
         self._begin(STEP, self._index)
@@ -159,13 +153,13 @@ class Environment:
         return tuple(found)
 
     def other_numbers(self) -> list[str]:
-        """Name the numbers of the latest ``info`` that nobody has asked for."""
+        """Name the numbers of the latest ``info`` that were not requested."""
         info = self._info if isinstance(self._info, Mapping) else {}
         numbers = [k for k, v in info.items() if isinstance(v, int | float | np.number | np.bool_)]
         return sorted(str(k) for k in numbers if k not in self._metric_names)
 
     def close(self) -> None:
-        """Free the simulator; what it raises is logged, and does no harm."""
+        """Free the simulator; an error is logged and otherwise ignored."""
         self._begin(CLOSE, self._index)
         try:
             self._env.close()

@@ -1,4 +1,4 @@
-"""What is wrong with an environment, in one line that ends with the user's file and line."""
+"""The fault of an environment, in one line that ends with the user's file and line."""
 
 import dis
 import inspect
@@ -41,7 +41,7 @@ class Faults:
         )
 
     def of_make(self, error: BaseException, made: Any = None) -> FaultyEnvironmentError:
-        """Its constructor, ``made`` if known, failed, or made what is no environment."""
+        """Its constructor, ``made`` if known, failed or did not make an environment."""
         constructor = made or self._constructor()
         if isinstance(error.__context__, TypeError) and _GYMNASIUM_ADDS in str(error):
             error = error.__context__
@@ -67,7 +67,7 @@ class Faults:
         error: BaseException,
         again: Callable[[Env], Any],
     ) -> FaultyEnvironmentError:
-        """A reset or step failed: in the user's code, or over what that has returned.
+        """A reset or step failed, in the user's code or because of the value that it returned.
 
         ``again`` makes the same call of one of the layers of ``env``, to see what that returns.
         """
@@ -84,7 +84,7 @@ class Faults:
         return self._fault(wrong, place) if wrong else self.raised(call, error, place)
 
     def returned(self, env: Env, call: str, what: str) -> FaultyEnvironmentError:
-        """It returned what is not allowed."""
+        """It returned an invalid value."""
         return self._fault(f"{call} returned {what}", place_of_return(layer_with(env, call), call))
 
     def misfit(
@@ -104,7 +104,7 @@ class Faults:
         return self._fault(wrong, place_of_return(layer, call))
 
     def _end_copy(self, error: BaseException) -> None:
-        """End a copy of this process that a user's code has forked: it is none of ours."""
+        """End a copy of this process that a user's code has forked; it is not our child."""
         if os.getpid() != self._pid:
             code = error.code if isinstance(error, SystemExit) else 1
             os._exit(code if isinstance(code, int) else int(code is not None))
@@ -155,7 +155,7 @@ def place_of_return(env: Env, method: str) -> str:
 
 
 def place_of(error: BaseException) -> str:
-    """Name the file and line in the user's code in which an error came up."""
+    """Name the file and line in the user's code where an error was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     theirs = [f for f in frames if not _is_library(f.filename)]
     own = [f for f in theirs if not any(part in f.filename for part in _SITE)]
@@ -217,7 +217,7 @@ def _fits(value: Any, space: "gymnasium.Space[Any]") -> bool:
 
 
 def _is_of_users(error: BaseException) -> bool:
-    """Whether it came up in, or below, code of the user, and not over what that had returned."""
+    """Whether the user's code, or code below it, raised this, not our reading of its result."""
     frames = traceback.extract_tb(error.__traceback__)
     return any(not _is_library(frame.filename) for frame in frames)
 
@@ -236,7 +236,7 @@ def _file_of(function: Any) -> str:
 
 
 def _shown(file: str) -> str:
-    """Give a path as a user names it: from the working directory, if it is below that."""
+    """Give a path as a user would: relative to the working directory, if it is below that."""
     path = Path(file)
     try:
         return str(path.resolve().relative_to(Path.cwd()))

@@ -1,4 +1,4 @@
-"""Making an environment as the run says: its id, its arguments, and what is wrapped round it."""
+"""Making an environment from the options of a run: its id, its arguments, its wrappers."""
 
 import dataclasses
 import importlib
@@ -33,7 +33,7 @@ def make(config: EnvConfig, worker: int, env_index: int) -> tuple[Env, bool]:
     """Make an environment; give it, and whether its reset takes a seed.
 
     Raises:
-        UsageError: There is no such module, id, class, wrapper or argument of Gymnasium's.
+        UsageError: A module, id, class, wrapper or argument of Gymnasium's does not exist.
         Exception: Whatever the constructor raises.
     """
     os.environ["A2S_WORKER"], os.environ["A2S_ENV_INDEX"] = str(worker), str(env_index)
@@ -92,7 +92,7 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
 
 
 def _in_module(env_id: str, module: Any, name: str) -> Any:
-    """Find a class, or a function, that makes an environment, in a module that has no such id."""
+    """Find a class or function that makes an environment in a module where the id is unknown."""
     made = getattr(module, name, None)
     if callable(made):
         return made
@@ -196,7 +196,7 @@ def _line(error: BaseException) -> str:
 
 
 def as_usage(config: EnvConfig, error: BaseException) -> A2SError | None:
-    """Tell what is wrong with the user's words rather than with the environment, if it is that."""
+    """The error as the user's mistake; ``None`` if the environment is at fault."""
     if isinstance(error, A2SError):
         return error
     if isinstance(error, ImportError):

@@ -1,4 +1,4 @@
-"""Observations as the run has them: a copy in flat float32, frames stacked, an offset taken off."""
+"""Observations as the run uses them: a copy in flat float32, with frames stacked and an offset."""
 
 import warnings
 from typing import Any
@@ -14,18 +14,15 @@ from a2s.protocol.fields import Array
 _FLOAT32 = np.dtype(np.float32)
 _Float64s = npt.NDArray[np.float64]
 
-# Whoever uses the numbers says what is too large for float32, and in which environment.
+# The caller reports numbers too large for float32, and names the environment.
 warnings.filterwarnings("ignore", "overflow encountered in cast", RuntimeWarning)
 
 
 class Observations:
-    """Reads what one environment gives, whatever its shape, dtype or kind of sequence.
+    """Reads the observations of one environment, in any shape, dtype or kind of sequence.
 
-    Args:
-        env: With all wrappers.
-        size: Count of the numbers of one observation.
-        frame_stack: Count of the latest that are given at once, the newest last.
-        offset: Taken off what is given, float32 ``[frame_stack * size]``.
+    Each has ``size`` numbers; the latest ``frame_stack`` are given at once, the newest last.
+    ``env`` has all wrappers; ``offset``, float32 ``[frame_stack * size]``, is subtracted.
     """
 
     def __init__(
@@ -47,10 +44,10 @@ class Observations:
         self._frames: list[_Float64s] = []
 
     def read(self, call: str, obs: Any) -> Array:
-        """Copy what ``reset`` or ``step`` gave: float32 ``[frame_stack * size]``.
+        """Copy the observation of ``reset`` or ``step``: float32 ``[frame_stack * size]``.
 
         Raises:
-            FaultyEnvironmentError: It is not made of that many numbers.
+            FaultyEnvironmentError: It does not have that many numbers.
         """
         try:
             found = self._float32(call, obs)
@@ -63,7 +60,7 @@ class Observations:
         return found.reshape(self._shape)
 
     def exact(self, obs: Any) -> _Float64s:
-        """Give ``obs``, which was read last, before it was float32."""
+        """Give ``obs``, which was read last, before the conversion to float32."""
         return np.concatenate(self._frames or [_numbers(self._space, obs)])
 
     def _float32(self, call: str, obs: Any) -> Array:
@@ -82,7 +79,7 @@ class Observations:
         return result
 
     def _quietly(self, call: str, obs: Any) -> Array:
-        """Read it though the environment has made errors of warnings."""
+        """Read it even if the environment has turned warnings into errors."""
         try:
             with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
                 return self._float32(call, obs)
@@ -104,7 +101,7 @@ def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:
 
 
 def _require_within(space: "spaces.Space[Any]", value: Any) -> None:
-    """Refuse a number of no class: one-hot, it would count as another."""
+    """Refuse a number that is not a valid class; one-hot, it would count as another."""
     if isinstance(space, spaces.Discrete | spaces.MultiDiscrete):
         count = space.n if isinstance(space, spaces.Discrete) else space.nvec
         index = np.asarray(value) - space.start

@@ -1,4 +1,4 @@
-"""From Gymnasium's spaces to flat ones of float32, or one line that says why not."""
+"""Converts Gymnasium's spaces to flat float32 ones, or says in one line why it cannot."""
 
 import inspect
 from typing import Any
@@ -24,7 +24,7 @@ def read_spaces(env_id: str, env: Env, frame_stack: int) -> Spaces:
     """Read the spaces of an environment whose layout could be read, with frames stacked.
 
     Raises:
-        UsageError: They are not supported; the line names what would be.
+        UsageError: They are not supported; the line names the nearest supported ones.
     """
     low, high = _bounds(env_id, env)
     size = flatdim(env.observation_space) * frame_stack
@@ -109,7 +109,7 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
 
 
 def _inwards(bounds: npt.NDArray[Any], direction: float) -> Array:
-    """Round to float32, never outwards: an environment may refuse what is outside by a bit."""
+    """Round to float32, never outwards: an environment may refuse values just outside its bounds."""
     with np.errstate(over="ignore"):
         rounded = bounds.astype(np.float32)
         exact = bounds.astype(np.float64)
@@ -120,7 +120,7 @@ def _inwards(bounds: npt.NDArray[Any], direction: float) -> Array:
 
 
 def _instead(env_id: str, env: Env) -> str:
-    """Name the nearest thing that works."""
+    """Name the nearest alternative that works."""
     name = env_id.rpartition(":")[2]
     base = name.rpartition("-v")[0]
     names = f"{base}Continuous-", f"Continuous{base}-"

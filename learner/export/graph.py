@@ -62,7 +62,7 @@ class Nodes:
         return outputs
 
     def observation(self, *, normalises: bool) -> str:
-        """The observation as networks see it."""
+        """The normalised observation."""
         if not normalises:
             return "obs"
         scaled = self.add("Mul", self.add("Sub", "obs", "obs_mean"), "obs_factor")
@@ -110,7 +110,7 @@ class Nodes:
 
 
 def common_numbers(bounds: ActionBounds, normaliser: Normaliser) -> Numbers:
-    """What `Nodes.observation` and `Nodes.to_env` read."""
+    """The numbers that `Nodes.observation` and `Nodes.to_env` read."""
     numbers = {
         "half_range": as_array(bounds.half_range),
         "centre": as_array(bounds.centre),
@@ -162,6 +162,6 @@ def fill(template: Any, numbers: Numbers, metadata: Mapping[str, str]) -> bytes:
 
 
 def as_array(tensor: Tensor) -> Array:
-    """A tensor's numbers, wherever it is."""
+    """A tensor's numbers, from any device."""
     array: Array = tensor.cpu().numpy()
     return array

@@ -1,4 +1,4 @@
-"""What a policy file says of the environment that it was trained on."""
+"""The environment that a policy was trained on, in the metadata of its file."""
 
 import json
 from collections.abc import Sequence
@@ -10,13 +10,7 @@ from a2s.protocol.fields import Spaces
 def policy_metadata(
     run: RunConfig, spaces: Spaces, layout: Sequence[tuple[str, int]] = ()
 ) -> dict[str, str]:
-    """Write the entries of docs/protocol.md, "The graph", that are the run's.
-
-    Args:
-        run: Its options.
-        spaces: Of its environment.
-        layout: Names and sizes of the parts of an observation, where they are known.
-    """
+    """Write the entries of docs/protocol.md, "The graph", that belong to the run."""
     found = {"env": run.env, "algo": run.algo, "environment": run.env_config().to_json()}
     if [*layout] not in ([], [("obs", spaces.obs_size)]):
         found["obs_layout"] = json.dumps([*layout])

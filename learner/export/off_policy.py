@@ -17,7 +17,7 @@ from a2s.learner.off_policy.squashed import LOG_STD_LEAST, LOG_STD_MOST
 
 
 class _Kind(NamedTuple):
-    """All that decides which nodes there are."""
+    """Everything that determines the nodes."""
 
     policy: Form
     critic: Form
@@ -119,7 +119,7 @@ def _score(nodes: Nodes, kind: _Kind, seen: str, action: str) -> str:
 
 
 def _soften(nodes: Nodes, score: str, density: str, suggestions: int) -> tuple[str, str]:
-    """What is largest at the suggestion drawn, and densities as executed, ``[B, K]``."""
+    """The quantity that is largest at the drawn suggestion, and densities as executed, ``[B, K]``."""
     add, axis = nodes.add, nodes.axis(1)
     is_drawn = add("Sign", add("ReduceSumSquare", "gumbel", axis, keepdims=1))
     correction = add("Mul", density, is_drawn)

@@ -15,7 +15,7 @@ from a2s.learner.on_policy.acting import SPREAD_EPS, Suggester
 
 
 class _Kind(NamedTuple):
-    """All that decides which nodes there are."""
+    """Everything that determines the nodes."""
 
     policy: Form
     critic: Form | None

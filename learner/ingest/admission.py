@@ -1,4 +1,4 @@
-"""Admission to a run: what every actor is told, and what its segments are held to."""
+"""Admission to a run: the facts every actor gets, and the checks of its segments."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,8 @@ from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 class Admission:
     """Judges hellos and segments.
 
-    Attributes:
-        run: Options of the run.
-        spaces: Of its environment.
-        generation: Which start of the learner this is.
-        max_policy_lag: Versions that a segment may be behind; ``None``: any number.
-        max_suggestion: Largest absolute value in a suggestion.
+    ``generation`` counts the learner's starts. ``max_policy_lag`` is how many versions a segment may
+    be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
     """
 
     run: RunConfig
@@ -29,7 +25,7 @@ class Admission:
 
     @property
     def seed_before_joining(self) -> int:
-        """Seed of what is random while environments are made: the same for all actors."""
+        """Seed for randomness while environments are made: the same for all actors."""
         return int(np.random.SeedSequence((self.run.seed, self.generation)).generate_state(1)[0])
 
     def welcome(self, slot: int, seed: int) -> Welcome:

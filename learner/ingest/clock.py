@@ -17,9 +17,9 @@ class Round:
 
     Attributes:
         notice: Of the newest weights, with the quota.
-        batch_steps: Steps that are wanted.
+        batch_steps: Steps wanted.
         published_s: When the weights came out, on the monotonic clock.
-        arrivals: What was accepted.
+        arrivals: Accepted segments.
         steps: Steps of the arrivals.
     """
 
@@ -31,21 +31,20 @@ class Round:
 
     @property
     def num_batches(self) -> float:
-        """Batches that the arrivals are enough for."""
+        """Number of complete batches among the arrivals."""
         return self.steps / self.batch_steps
 
 
 class Lockstep:
-    """One version, one batch: complete when everybody present has played the quota.
+    """One version, one batch: complete when every actor present has played the quota.
 
-    Attributes:
-        waits_for_weights: Actors play their quota, then wait for the next version.
+    Actors play their quota, then wait for the next version: ``waits_for_weights``.
     """
 
     waits_for_weights = True
 
     def is_filled(self, played: Round) -> bool:
-        """Whether the batch is complete whoever still plays: a quota is always taken whole."""
+        """Never complete before every actor is done: a quota is always taken whole."""
         return False
 
     def is_flooded(self, played: Round) -> bool:
@@ -53,9 +52,9 @@ class Lockstep:
         return False
 
     def missing(self, played: Round, members: list[Member], now_s: float) -> str:
-        """What the batch waits for, given who was heard; "" if it is complete.
+        """What the batch waits for, given which actors were heard; "" if it is complete.
 
-        Those who are late are waited for, unless they need ten times as long as all others.
+        Late actors are waited for, unless they need ten times as long as all others.
         """
         late = [m for m in members if not m.has_delivered(played.notice)]
         done_s = [m.done_s - played.published_s for m in members if m not in late]
@@ -80,7 +79,7 @@ class Async:
         return played.num_batches >= _MAX_BATCHES
 
     def missing(self, played: Round, members: list[Member], now_s: float) -> str:
-        """What a batch waits for that is not filled: the rest of its steps."""
+        """What an unfilled batch waits for: the rest of its steps."""
         return f"{played.batch_steps - played.steps} more steps{_doing(members)}"
 
 

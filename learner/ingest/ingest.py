@@ -37,13 +37,8 @@ _WAIT_S = 0.5
 class Ingest:
     """Judges what arrives, stores it, and says when a batch is complete.
 
-    Args:
-        admission: What is accepted.
-        ledger: Where answers are written down.
-        metrics: Where they are counted.
-        on_event: Told joins, leaves and refusals, with the lock held.
-        store: Given accepted segments before they are written down and acknowledged, with the
-            lock held.
+    ``on_event`` gets joins, leaves and refusals. ``store`` gets accepted segments before they are
+    written into the ``ledger`` and acknowledged. Both are called with the lock held.
     """
 
     def __init__(
@@ -109,20 +104,20 @@ class Ingest:
             return self._ack(verdict, reason, segment)
 
     def refuse_segment(self, cause: str, reason: str) -> Ack:
-        """Answer bytes that are no segment: nothing is known but that they are unusable."""
+        """Answer bytes that are not a segment: nothing else is known of them."""
         self.refuse("segment", cause, reason)
         with self._changed:
             return self._ack("refused", reason, None)
 
     def refuse(self, message: str, cause: str, reason: str) -> Refusal:
-        """Count a message that cannot be used."""
+        """Count an unusable message."""
         with self._changed:
             self._metrics.refused.labels(message=message, reason=cause).inc()
             self._on_event("refusal", message=message, reason=reason)
         return Refusal(reason=reason)
 
     def status(self, status: ActorStatus) -> None:
-        """Remember an actor's own account."""
+        """Remember an actor's latest status."""
         with self._changed:
             now_s = time.monotonic()
             status = replace(status, doing=one_line(status.doing), trouble=one_line(status.trouble))
@@ -143,7 +138,7 @@ class Ingest:
             self._leave(actor, "lost")
 
     def begin(self, notice: Notice, batch_steps: int) -> None:
-        """New weights are out: count their quota from here, and forget what is now stale."""
+        """New weights are out: count their quota from here, and forget stale segments."""
         with self._changed:
             before = self._round
             self._round = Round(
@@ -171,7 +166,7 @@ class Ingest:
             return self.take()
 
     def take(self) -> list[Arrival]:
-        """Take what is there, by slot, environment and number."""
+        """Take all that arrived, by slot, environment and number."""
         with self._changed:
             if self._round is None:
                 return []
@@ -188,7 +183,7 @@ class Ingest:
             return max(1, expected, self._members.num_envs)
 
     def attendance(self) -> Attendance:
-        """Take a look at the actors, and at what came of their segments."""
+        """Give the actors present, and the fate of their segments."""
         with self._changed:
             return Attendance(
                 members=tuple(self._members.present),
@@ -257,7 +252,7 @@ class Ingest:
         self._metrics.received.labels(result=verdict).inc(segment.num_steps if segment else 0)
         generation, played = self._admission.generation, self._round
         wait_s = 0.0
-        # What is left of an earlier generation must go before its actor can join this one.
+        # Remains of an earlier generation must go before its actor can join this one.
         is_ours = segment is not None and segment.generation == generation
         if is_ours and not self._clock.waits_for_weights:
             wait_s = self._store.hold_s(played.num_batches if played else 0.0)

@@ -1,7 +1,7 @@
-"""Which segments were answered, and how: exactly once, whatever is killed.
+"""The answer to every segment: exactly once, whatever is killed.
 
 Every answer is one line of ``segments.log``, written before the answer is sent, so that a
-restarted learner recognises what an earlier one has taken.
+restarted learner recognises the segments that an earlier one has taken.
 """
 
 import os
@@ -22,7 +22,7 @@ class Accounts:
 
     Attributes:
         sent: Segments that actors have numbered, from the first to the last number seen of each.
-        duplicate: Answers to segments that had been answered before; part of no sum.
+        duplicate: Answers to segments that had been answered before; in no sum.
         lost: Numbered between others but never received.
     """
 
@@ -56,10 +56,7 @@ class _Sender:
 
 
 class Ledger:
-    """The answers of one run, in memory and in a file.
-
-    Args:
-        path: The file; an existing one is read first.
+    """The answers of one run, in memory and in a file; an existing file is read first.
 
     Raises:
         RunDirectoryError: The file is not a ledger.

@@ -1,4 +1,4 @@
-"""The actors of a run: those present, those coming, and what each has delivered."""
+"""The actors of a run: those present, those coming, and the deliveries of each."""
 
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class _Delivered:
-    """What one environment has delivered with the newest weights."""
+    """The deliveries of one environment with the newest weights."""
 
     steps: int = 0
     episodes: int = 0
@@ -37,8 +37,8 @@ class Member:
         slot: Its place.
         heard_s: When it was last heard, on the monotonic clock.
         done_s: When its quota was complete, on the same clock.
-        status: Its latest own account.
-        said: Its latest trouble that was passed on, and the steps that it had dropped by then.
+        status: Its latest status.
+        said: The latest trouble that was passed on, and the steps that it had dropped by then.
     """
 
     actor: str
@@ -70,7 +70,7 @@ class Member:
         return all(delivered.meets(notice) for delivered in self._delivered)
 
     def is_news(self, status: ActorStatus) -> bool:
-        """Whether to pass its trouble on: the first, and each time that twice as much is lost."""
+        """Whether to pass its trouble on: the first, and each time that the loss has doubled."""
         words, dropped_steps = self.said
         is_more = status.dropped_steps >= 2 * dropped_steps
         if not status.trouble or status.trouble == words or not is_more:
@@ -87,12 +87,7 @@ class _Newcomer:
 
 
 class Members:
-    """The members of a run, and actors that are coming. Not thread-safe: its owner has the lock.
-
-    Args:
-        seed: Of the run.
-        generation: Which start of the learner this is.
-    """
+    """The members of a run, and actors that are coming. Not thread-safe: its owner has the lock."""
 
     def __init__(self, seed: int, generation: int) -> None:
         self._seed = seed
@@ -121,12 +116,12 @@ class Members:
     def join(self, hello: Hello, now_s: float) -> tuple[Member, int]:
         """Give an actor the place that it asks for, or else the lowest free one.
 
-        One that has a place keeps it. One that comes back, because its connection was broken for a
-        while, goes on with what it has delivered.
+        One that has a place keeps it. One that comes back after its connection was broken keeps its
+        deliveries.
 
         Returns:
             The member, and the seed of its environments and noise: the same for the same seed of
-            the run, generation, place, and number of those who had the place before.
+            the run, generation, place, and number of earlier holders of the place.
         """
         actor, num_envs = hello.actor, hello.num_envs
         member = self._present.get(actor)
@@ -166,13 +161,13 @@ class Members:
         _forget_oldest(self._newcomers)
 
     def hear(self, member: Member, status: ActorStatus, now_s: float) -> None:
-        """Remember what a member tells of itself."""
+        """Remember a member's status."""
         member.status, member.heard_s = status, now_s
         self._dropped[member.actor] = status.dropped_steps
         self._dropped_before += sum(_forget_oldest(self._dropped))
 
     def hear_newcomer(self, status: ActorStatus, now_s: float) -> None:
-        """Remember what one tells that is no member, unless it was one a while ago."""
+        """Remember the status of an actor that is not a member, unless it was one recently."""
         if status.leaving:
             self._newcomers.pop(status.actor, None)
         elif status.actor not in self._away:
@@ -180,11 +175,11 @@ class Members:
 
     @property
     def dropped_steps(self) -> int:
-        """Steps whose numbers could not be used, as actors told."""
+        """Steps with unusable numbers, as reported by actors."""
         return self._dropped_before + sum(self._dropped.values())
 
     def describe_newcomers(self, now_s: float) -> str:
-        """Say which actors are coming and what the first of them does; "" if there are none."""
+        """Name the actors that are coming and what the first of them does; "" without any."""
         known = {a: n for a, n in self._newcomers.items() if now_s - n.heard_s < SILENT_S}
         self._newcomers = known
         if not known:
@@ -196,5 +191,5 @@ class Members:
 
 
 def _forget_oldest(known: dict[str, T], limit: int = _MAX_REMEMBERED) -> list[T]:
-    """Keep a dictionary bounded; what was forgotten."""
+    """Keep a dictionary bounded; return the entries that were dropped."""
     return [known.pop(next(iter(known)))] if len(known) > limit else []

@@ -1,4 +1,4 @@
-"""The learner's side of the protocol: every key of the run and what answers it."""
+"""The learner's side of the protocol: every key of the run and its answers."""
 
 import hashlib
 import threading
@@ -26,13 +26,7 @@ from a2s.protocol.transport import Bus
 class Server(Feed):
     """Connects actors with the ingest, and gives them weights.
 
-    Args:
-        bus: The connection; :meth:`open` makes the learner visible on it.
-        keys: Of the run.
-        generation: Which start of the learner this is.
-        ingest: Judges hellos and segments.
-        store: Says what is to be played.
-        metrics: Shows what was published.
+    The learner becomes visible on ``bus`` with :meth:`open`. ``store`` decides the quota.
     """
 
     def __init__(
@@ -63,7 +57,7 @@ class Server(Feed):
         bus.declare_presence(keys.live_learner)
 
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
-        """Announce weights with what is to be played by them, and keep them for who pulls."""
+        """Announce weights with the quota to be played by them, and keep them for requests."""
         graph = make_graph(version)
         quota = self._store.quota(self._ingest.num_envs)
         notice = Notice(
@@ -83,7 +77,7 @@ class Server(Feed):
         self._metrics.weights_bytes.set(len(graph))
 
     def announce_recovery(self, event: RecoveryEvent) -> None:
-        """Tell everybody who listens that the learner went back."""
+        """Announce to all listeners that the learner went back."""
         self._bus.publish(self._keys.recovery, encode(event))
 
     def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
@@ -91,12 +85,12 @@ class Server(Feed):
         return self._ingest.next_batch(proceed)
 
     def stop(self) -> list[Arrival]:
-        """Hear no more, and take what came too late to be a batch."""
+        """Stop listening, and take the segments that came too late for a batch."""
         self._bus.close()
         return self._ingest.take()
 
     def attendance(self) -> Attendance:
-        """Take a look at the actors."""
+        """Give the actors present."""
         return self._ingest.attendance()
 
     def close(self) -> None:

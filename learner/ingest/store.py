@@ -1,4 +1,4 @@
-"""What ingest asks of the place where accepted segments go."""
+"""The interface between ingest and the place where accepted segments go."""
 
 from typing import NamedTuple, Protocol
 
@@ -14,7 +14,7 @@ class Quota(NamedTuple):
 
 
 class Store(Protocol):
-    """Where accepted segments go: the one place that holds what a variant learns from.
+    """The destination of accepted segments; a variant learns from nothing else.
 
     Attributes:
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
@@ -25,7 +25,7 @@ class Store(Protocol):
     max_suggestion: float
 
     def quota(self, num_envs: int) -> Quota:
-        """What is to be played next by ``num_envs`` environments."""
+        """The next quota of ``num_envs`` environments."""
         ...
 
     def store(self, slot: int, segment: Segment) -> None:
@@ -37,9 +37,9 @@ class Store(Protocol):
         ...
 
     def close_batch(self) -> None:
-        """Learn next from what was stored so far; what comes now is for the batch after."""
+        """Learn next from the steps stored so far; later ones are for the batch after."""
         ...
 
     def hold_s(self, num_batches: float) -> float:
-        """Seconds that actors should wait because learning is behind by so many batches."""
+        """Seconds that actors should wait because learning is behind by this number of batches."""
         ...

@@ -1,4 +1,4 @@
-"""What suggesters answer, and how canonical actions become those of an environment."""
+"""The answer of suggesters, and the conversion of canonical actions to the environment's."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class Choice(NamedTuple):
-    """What a suggester answers.
+    """The answer of a suggester.
 
     Attributes:
         action: In the environment's units and within its bounds, float32 ``[B, A]``.

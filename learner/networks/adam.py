@@ -7,16 +7,10 @@ BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-8
 
 
 class Adam:
-    """Adam.
+    """Adam on the parameters ``value``, float32; ``steps``, float32 ``[]``, counts its steps.
 
     Two may share the parameters: the on-policy policy has one for its gradient and one for
     equation 6.
-
-    Args:
-        value: What it changes, float32.
-
-    Attributes:
-        steps: Made so far, float32 ``[]``.
 
     Source: Kingma and Ba 2015, algorithm 1.
     """

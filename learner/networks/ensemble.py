@@ -25,12 +25,8 @@ class Tape(NamedTuple):
 class Ensemble:
     """E networks of one form with their parameters and gradients as one vector each.
 
-    Args:
-        form: Of each.
-        flat: First parameters, float32 ``[E length]``; kept, not copied.
-        grad: Where the gradients are written, of the same shape.
-        bf16: Make matrix products in bfloat16.
-        single: E is 1, and no tensor has that dimension: products of matrices are faster so.
+    ``flat``, the first parameters, is kept, not copied. ``bf16`` makes matrix products in bfloat16.
+    ``single``: E is 1, and no tensor has that dimension: products of matrices are faster so.
 
     Attributes:
         value: Parameters, float32 ``[E length]``; after a change call `refresh`.
@@ -80,11 +76,9 @@ class Ensemble:
         return self._run(x, *tape), tape
 
     def differentiate(self, tape: Tape, grad: Tensor) -> None:
-        """Overwrite the gradients of all parameters.
+        """Overwrite the gradients of all parameters, with a tape from `trace`.
 
-        Args:
-            tape: From `trace`.
-            grad: Gradient by the outputs, ``[E, N, out]``; if single ``[N, out]``.
+        ``grad`` is the gradient by the outputs, ``[E, N, out]``; if single ``[N, out]``.
         """
         form, weights, grads = self.form, self.weights, self._grads
         grad = run_back(form.layers[1:], weights, grads, tape.above[1:], grad)
@@ -125,13 +119,11 @@ class Ensemble:
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
-    """Evaluate several actions for every observation; its part is computed once.
+    """Evaluate several actions for every observation; the observation's part is computed once.
 
-    Args:
-        form: Of the networks; their input is observation and action joined.
-        weights: Of E members, or of a single network: then nothing has the dimension E.
-        obs: ``[B, D]``.
-        action: Each member's own, ``[E, B, K, A]``.
+    The input of ``form`` is observation and action joined. Observations are ``[B, D]``, actions each
+    member's own, ``[E, B, K, A]``. ``weights`` of a single network have no dimension E, and neither
+    has anything else then.
 
     Returns:
         Means of the outputs, ``[E, B, K]``.

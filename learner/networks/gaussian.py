@@ -16,10 +16,8 @@ HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 def log_density(normal: Tensor, log_std: Tensor, squashed: Tensor | None = None) -> Tensor:
     """Log density of ``u = mean + std * normal``, or of ``tanh(u)``, summed over the dimensions.
 
-    Args:
-        normal: ``[..., A]``.
-        log_std: ``[..., A]``, or ``[A]``.
-        squashed: u, if the density is that of ``tanh(u)``, ``[..., A]``.
+    ``normal`` is ``[..., A]``, ``log_std`` ``[..., A]`` or ``[A]``. ``squashed`` is u, ``[..., A]``,
+    if the density is that of ``tanh(u)``.
 
     Returns:
         ``[...]``. ``log(1 - tanh(u)^2)`` is written ``2 (log 2 - u - softplus(-2 u))``, which is
@@ -78,12 +76,10 @@ class Policy:
         return self.network.trace(obs)
 
     def differentiate(self, tape: Tape, grad_mean: Tensor, grad_log_std: Tensor) -> None:
-        """Overwrite the gradients of all parameters.
+        """Overwrite the gradients of all parameters, with a tape from `trace`.
 
-        Args:
-            tape: Of `trace`.
-            grad_mean: Gradient of the loss by the means, ``[N, A]``.
-            grad_log_std: By the log standard deviation, ``[A]``; not used when that is fixed.
+        The gradient of the loss by the means is ``[N, A]``, that by the log standard deviation ``[A]``;
+        the latter is not used when the deviation is fixed.
         """
         self.network.differentiate(tape, grad_mean)
         if self.learns_std:

@@ -21,7 +21,7 @@ _aten = torch.ops.aten
 
 
 class _Compiled(NamedTuple):
-    """Input, output and ``[2, E, N]``, mean and one over the deviation: what the kernels keep."""
+    """What the kernels keep: input, output, and mean and one over the deviation, ``[2, E, N]``."""
 
     x: Array
     out: Array
@@ -39,13 +39,10 @@ class _Normed(NamedTuple):
 
 
 class Norm:
-    """Layer normalisation over the last dimension.
+    """Layer normalisation over the last dimension, with the gain and offset number ``index``.
 
-    Args:
-        index: Number of gain and offset.
-        bias: Number of the bias that the Linear below leaves to this layer, if it does.
-        relu: Whether to cut at 0.
-        compiled: Whether the kernels may do it; they take members, on a CPU, not in float64.
+    ``bias`` is the number of the bias that the Linear below leaves to this layer, if it does. With
+    ``relu`` it cuts at 0. ``compiled`` allows the kernels, which need members, a CPU, no float64.
     """
 
     def __init__(

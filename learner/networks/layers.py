@@ -26,11 +26,8 @@ class Layer(Protocol):
     def backward(self, weights: Weights, grads: Weights | None, kept: Any, grad: Tensor) -> Tensor:
         """Turn the gradient by the output into that by the input.
 
-        Args:
-            weights: As in `forward`.
-            grads: Gradients of the parameters, to be overwritten; ``None``: not wanted.
-            kept: What `forward` appended to the tape.
-            grad: By the output.
+        ``kept`` is what `forward` appended to the tape. The gradients of the parameters, ``grads``, are
+        overwritten; ``None``: not wanted.
         """
 
 

@@ -1,4 +1,4 @@
-"""Choices of a network, as plain words; they need no torch."""
+"""The names of a network's options; this needs no torch."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Whether stored tensors are those of the present networks."""
+"""Check that stored tensors fit the present networks."""
 
 from collections.abc import Mapping
 

@@ -29,20 +29,15 @@ class OffPolicySuggester:
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
 
-    Args:
-        normaliser: Of the observations.
-        policy: Suggests; not asked in the mode ``uniform``.
-        critics: Pick; not asked but in the modes ``hard`` and ``soft``.
-        action_low: Lowest action of the environment, float32 ``[A]``.
-        action_high: Highest, float32 ``[A]``.
-        mode: ``uniform``: actions spread evenly over the bounds, for warm-up; ``first``: the only
-            suggestion; ``hard``: the one of largest score; ``soft``: drawn, each with a chance in
-            proportion to exp(score / temperature) over its density under the policy. As K grows,
-            that is a draw from the Boltzmann distribution of the scores, to which SAC's policy
-            is fitted, and so no less random than the policy is to be (docs/adr/0011).
-        suggestions: K; 1 but in the modes ``hard`` and ``soft``.
-        temperature: Of ``soft``, in returns, ``[]``.
-        return_size: What the critics are in units of, ``[]``.
+    The modes are ``uniform``: actions spread evenly over the bounds, for warm-up, without the policy;
+    ``first``: the only suggestion; ``hard``: the one of largest score; ``soft``: drawn, each with a
+    chance in proportion to exp(score / temperature) over its density under the policy. As K grows,
+    that is a draw from the Boltzmann distribution of the scores, to which SAC's policy is fitted, and
+    so no less random than the policy is to be (docs/adr/0011).
+
+    Only ``hard`` and ``soft`` use the critics; in the other modes K is 1. Action bounds are float32
+    ``[A]``. The ``temperature`` of ``soft`` is in returns, ``[]``; critics are in units of
+    ``return_size``, ``[]``.
     """
 
     def __init__(
@@ -71,13 +66,10 @@ class OffPolicySuggester:
 
     @torch.no_grad()
     def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
-        """Choose actions.
+        """Choose actions for observations as the environment gave them, float32 ``[B, D]``.
 
-        Args:
-            obs: As the environment gave them, float32 ``[B, D]``.
-            normal: Standard normal noise, float32 ``[B, K, A]``.
-            gumbel: Standard Gumbel noise, float32 ``[B, K]``, for the mode ``soft``; without it,
-                or where all of it is 0, the largest score counts.
+        Standard normal noise is ``[B, K, A]``; standard Gumbel noise ``[B, K]`` is for the mode ``soft``.
+        Without it, or where all of it is 0, the largest score counts.
         """
         q_spread = torch.zeros(len(obs), device=obs.device)
         if self.mode == "uniform":
@@ -108,12 +100,7 @@ class OffPolicySuggester:
         return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def score(self, norm_obs: Tensor, action: Tensor) -> Tensor:
-        """Means of the critics, in returns, of normalised and canonical: ``[B, K]``.
-
-        Args:
-            norm_obs: ``[B, D]``.
-            action: ``[B, K, A]``.
-        """
+        """Means of the critics, in returns: normalised ``[B, D]``, canonical ``[B, K, A]`` to ``[B, K]``."""
         critics = self.critics
         shared = action.expand(critics.members, *action.shape)
         q_value = score_many(critics.form, critics.exact, norm_obs, shared) * self.return_size

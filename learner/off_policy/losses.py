@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class CriticLoss(NamedTuple):
-    """What a regression says.
+    """The result of a regression.
 
     Attributes:
         loss: Summed over the critics, ``[]``.
@@ -25,10 +25,7 @@ class CriticLoss(NamedTuple):
 def squared_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss:
     """Half the squared error, a weighted mean over the batch.
 
-    Args:
-        q_value: ``[E, B, 1]``.
-        target: ``[B, 1]``.
-        weight: Of each row, ``[B]``.
+    Values are ``[E, B, 1]``, targets ``[B, 1]``, weights ``[B]``.
     """
     error = q_value - target
     grad = error * (weight / len(weight)).unsqueeze(-1)
@@ -38,11 +35,8 @@ def squared_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss:
 def quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor, width: float) -> CriticLoss:
     """Huber loss of quantile regression, a mean over pairs of atoms and the weighted batch.
 
-    Args:
-        q_value: Atoms, ``[E, B, M]``.
-        target: Atoms, ``[B, M']``.
-        weight: Of each row, ``[B]``.
-        width: Kappa, above 0: errors beyond it count by their size alone.
+    Atoms are ``[E, B, M]``, those of the target ``[B, M']``, weights ``[B]``. Errors beyond ``width``,
+    kappa, above 0, count by their size alone.
 
     Source: Dabney et al. 2018, equation 10; Kuznetsov et al. 2020 (TQC).
     """
@@ -59,7 +53,7 @@ def quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor, width: float)
 
 
 def _all_pairs(q_value: Tensor, target: Tensor, width: float) -> tuple[Tensor, Tensor]:
-    """What the kernel fills in, where it does not run."""
+    """The same as the kernel, for where it does not run."""
     atoms = q_value.shape[-1]
     middle = (torch.arange(atoms, device=q_value.device) + 0.5) / atoms
     delta = target.unsqueeze(-2) - q_value.unsqueeze(-1)

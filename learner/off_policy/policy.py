@@ -37,12 +37,8 @@ def pathwise(
 ) -> PolicyStep:
     """Move the one suggestion of every state along the gradient of Q: SAC's loss.
 
-    Args:
-        policy: Of the states.
-        drawn: The suggestions.
-        q_value: Their values, ``[B]``.
-        action_grad: Gradient of the sum of the values by the suggestions, ``[B, A]``.
-        temperature: Weight of the entropy, ``[]``.
+    Values of the suggestions are ``[B]``, the gradient of their sum by the suggestions ``[B, A]``.
+    ``temperature`` is the weight of the entropy, ``[]``.
     """
     action, rows = drawn.action, len(drawn.action)
     share = temperature / rows
@@ -54,11 +50,8 @@ def pathwise(
 def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor) -> PolicyStep:
     """Make suggestions likelier that are better than the mean of the others.
 
-    Args:
-        policy: Of the states.
-        normal: Noise of K suggestions, ``[B, K, A]``.
-        q_value: Their values, ``[B, K]``.
-        temperature: Weight of the entropy, which counts as a part of the value, ``[]``.
+    The noise of K suggestions is ``[B, K, A]``, their values ``[B, K]``. ``temperature``, ``[]``, is
+    the weight of the entropy, which counts as a part of the value.
     """
     log_std = policy.log_std.unsqueeze(1)
     std = log_std.exp()

@@ -17,14 +17,10 @@ _ZERO, _HALF, _ONE = _F(0.0), _F(0.5), _F(1.0)
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}
 )
 def fill(q_value: Array, target: Array, loss: Array, grad: Array, width: np.float32) -> None:
-    """Fill, with means over the atoms of the target, ``loss`` and ``grad``.
+    """Fill, with means over the atoms of the target, ``loss`` and ``grad``, ``[E, B, M]`` both.
 
-    Args:
-        q_value: ``[E, B, M]``.
-        target: ``[B, M']``.
-        loss: Written: of each atom, ``[E, B, M]``.
-        grad: Written: its gradient by the atom, ``[E, B, M]``.
-        width: Kappa.
+    They are the loss of each atom and its gradient by the atom. ``q_value`` is ``[E, B, M]``,
+    ``target`` ``[B, M']``, ``width`` kappa.
     """
     members, rows, atoms = q_value.shape
     share = _ONE / _F(target.shape[1])

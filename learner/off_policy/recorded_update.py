@@ -20,11 +20,8 @@ class RecordedUpdate:
     """`OffPolicy.update`, recorded at its first call and repeated at every other.
 
     The numbers are those of `OffPolicy.update`. Those returned are overwritten by the next call.
-
-    Args:
-        algorithm: What learns.
-        record: Is given the update, may run it any number of times, and gives what repeats it:
-            the same kernels on the same memory.
+    ``record`` is given the update, may run it any number of times, and returns a function that
+    repeats it: the same kernels on the same memory.
     """
 
     def __init__(self, algorithm: OffPolicy, record: Callable[[Update], Update]) -> None:
@@ -50,7 +47,7 @@ class RecordedUpdate:
 
 
 def update_of(algorithm: OffPolicy) -> Callable[[Transitions], OffPolicyStats]:
-    """Choose the way to update where the algorithm is: recorded on a GPU, as it is elsewhere."""
+    """Choose the way to update by device: recorded on a GPU, directly elsewhere."""
     if algorithm.device.type == "cuda":
         return RecordedUpdate(algorithm, record_cuda)
     return algorithm.update

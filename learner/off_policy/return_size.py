@@ -1,4 +1,4 @@
-"""How large returns are, so that critics can learn them in units of that."""
+"""The size of returns, the unit in which critics learn them."""
 
 import torch
 from torch import Tensor
@@ -10,11 +10,7 @@ _MIN = torch.finfo(torch.float32).tiny
 class ReturnSize:
     """Root mean square of returns: the mean of all samples so far, of about the last 50 later.
 
-    It is not their deviation: that is 0 where every return is alike.
-
-    Args:
-        enabled: When not, it is 1 for ever.
-        device: Of the tensors.
+    It is not their deviation: that is 0 where every return is alike. When not ``enabled`` it stays 1.
 
     Attributes:
         mean_square: Float64 ``[]``; 1 before the first sample.
@@ -36,7 +32,7 @@ class ReturnSize:
             self.mean_square.lerp_(returns.double().square().mean(), share)
 
     def __call__(self) -> Tensor:
-        """The size, ``[]``, above 0: 1 where nothing was ever paid."""
+        """The size, ``[]``, above 0: 1 if all returns so far are 0."""
         size = torch.where(self.mean_square > 0, self.mean_square.sqrt(), 1.0)
         return size.clamp(min=_MIN).to(torch.get_default_dtype())
 

@@ -15,16 +15,11 @@ from a2s.learner.off_policy.return_size import ReturnSize
 class TrainState:
     """Networks, their optimisers, the temperature and the normalisers.
 
-    Args:
-        obs_size: D.
-        action_size: A.
-        hyper: Hyperparameters.
-        generator: Draws the first weights, on the CPU.
-        device: Of all tensors.
+    ``generator`` draws the first weights, on the CPU.
 
     Attributes:
         normaliser: Of the observations.
-        return_size: What critics and temperature are in units of.
+        return_size: The unit of critics and temperature.
         policy: One network, ``[D]`` to ``[2 A]``: means and log standard deviations of u.
         critics: E networks, ``[D + A]`` to the M atoms of a value.
         targets: The same, averaged over time.

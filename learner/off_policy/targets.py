@@ -1,7 +1,7 @@
-"""Equations 7 and 8: what the best of K suggestions is worth in the next state.
+"""Equations 7 and 8: the value of the best of K suggestions in the next state.
 
-One critic selects, others evaluate: the maximum over K of a noisy estimate, taken at its own
-word, exceeds the truth by 1.5 standard deviations of the noise at K = 10.
+One critic selects, others evaluate: the maximum over K of a noisy estimate, evaluated by itself,
+exceeds the truth by 1.5 standard deviations of the noise at K = 10.
 
 Source: equations 7, 8 and algorithm 2 of the paper; entropy as in SAC (Haarnoja et al. 2018).
 """
@@ -21,14 +21,9 @@ def log_advantage(suggestions: int) -> float:
 
 
 def pick_best(score: Tensor, *candidates: Tensor) -> list[Tensor]:
-    """Take of each candidate what belongs to the largest score.
+    """Take from each of the ``candidates [..., K, A]`` the entry of largest score, ``[..., A]``.
 
-    Args:
-        score: ``[..., K]``; among equals the first counts.
-        candidates: Each ``[..., K, A]``.
-
-    Returns:
-        As many, each ``[..., A]``.
+    Scores are ``[..., K]``; among equals the first counts.
     """
     best = score.argmax(-1)[..., None, None]
     return [
@@ -38,15 +33,14 @@ def pick_best(score: Tensor, *candidates: Tensor) -> list[Tensor]:
 
 
 def evaluate(q_value: Tensor, dropped: int) -> Tensor:
-    """One value, or one set of atoms, from those of all target critics.
+    """One value, or one set of atoms, from those of all target critics, ``[E, ..., M]``.
 
-    Args:
-        q_value: ``[E, ..., M]``, M = 1 for plain critics.
-        dropped: Quantile critics: atoms per critic that are left out, the largest of all.
+    M is 1 for plain critics. Of quantile critics ``dropped`` atoms per critic are left out, the
+    largest of all.
 
     Returns:
-        Plain: the minimum over the critics, ``[..., 1]``. Quantiles: those that are left of all
-        ``E M`` atoms, ascending, ``[..., E (M - dropped)]``.
+        Plain: the minimum over the critics, ``[..., 1]``. Quantiles: the remaining of all ``E M``
+        atoms, ascending, ``[..., E (M - dropped)]``.
 
     Source: Fujimoto et al. 2018 for the minimum; Kuznetsov et al. 2020 (TQC), equation 11.
     """
@@ -65,18 +59,11 @@ def backup(
     temperature: Tensor,
     suggestions: int,
 ) -> Tensor:
-    """Targets of the critics.
+    """Targets of the critics, ``[B, M]``: the mean over the N groups of K suggestions, equation 8.
 
-    Args:
-        reward: ``[B]``.
-        discount: 0 after a terminal state, ``[B]``.
-        value: Of the best suggestion of each of N groups, ``[N, B, M]``.
-        log_prob: Of that suggestion under the policy, ``[N, B]``.
-        temperature: Weight of the entropy, ``[]``.
-        suggestions: K, of each group.
-
-    Returns:
-        ``[B, M]``: the mean over the groups, equation 8.
+    Rewards and discounts are ``[B]``, discounts 0 after a terminal state. The value of the best
+    suggestion of each group is ``[N, B, M]``, its log density under the policy ``[N, B]``.
+    ``temperature`` is the weight of the entropy, ``[]``.
     """
     cost = temperature * (log_prob + log_advantage(suggestions))
     soft = (value - cost.unsqueeze(-1)).mean(0)

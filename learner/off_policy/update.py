@@ -68,14 +68,8 @@ class OffPolicy:
             stats = algorithm.update(replay.sample())
             replay.prioritise(stats.error)
 
-    An update copies nothing to the host, and has the same shapes every time.
-
-    Args:
-        obs_size: D.
-        action_size: A.
-        hyper: Hyperparameters.
-        seed: Of the first weights and of every random choice.
-        device: Of all tensors.
+    An update copies nothing to the host, and has the same shapes every time. ``seed`` is for the first
+    weights and every random choice.
     """
 
     def __init__(
@@ -106,7 +100,7 @@ class OffPolicy:
         self.train_state.return_size.observe(returns.to(self.device))
 
     def draw_noise(self, rows: int) -> Noise:
-        """Draw what an update of so many rows needs: on the CPU, to be the same everywhere."""
+        """Draw the noise of an update of ``rows`` rows: on the CPU, to be the same everywhere."""
         noise = draw_noise(rows, self.action_size, self.hyper, self._noise)
         return Noise(*(each.to(self.device, non_blocking=True) for each in noise))
 
@@ -120,11 +114,8 @@ class OffPolicy:
     ) -> OffPolicySuggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
-        Args:
-            action_low: Of the environment, float32 ``[A]``.
-            action_high: Of the environment, float32 ``[A]``.
-            warms_up: Act at random: nothing is learned yet.
-            averaged: By the average of the policy over time, to be kept and used.
+        The environment's bounds are float32 ``[A]``. With ``warms_up`` it acts at random: nothing is
+        learned yet. ``averaged`` takes the average of the policy over time, to be kept and used.
         """
         return_size = self.train_state.return_size()
         picks = self.hyper.act_suggestions > 1 and not warms_up
@@ -143,12 +134,7 @@ class OffPolicy:
 
     @torch.no_grad()
     def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:
-        """Learn from a batch.
-
-        Args:
-            batch: Rows of a replay, on the device.
-            noise: Drawn here when not given.
-        """
+        """Learn from a batch on the device; noise is drawn here when not given."""
         if noise is None:
             noise = self.draw_noise(len(batch.obs))
         state = self.train_state
@@ -258,7 +244,7 @@ class OffPolicy:
         return pathwise(policy, drawn, value, action_grad, temperature)
 
     def _value_of(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        """What one action a state is worth, ``[B]``, with its gradient by the action, ``[B, A]``.
+        """The value of one action a state, ``[B]``, with its gradient by the action, ``[B, A]``.
 
         Plain critics: their minimum, as in SAC; quantile critics: their mean, as in TQC.
         """
@@ -274,12 +260,9 @@ class OffPolicy:
         return value, critics.by_input(tape, grad, self.obs_size).sum(0)
 
     def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
-        """Scores by one critic a group, of ``[N, B, K, A]``: ``[N, B, K]``.
+        """Scores by one critic a group, of suggestions in N groups, ``[N, B, K, A]``: ``[N, B, K]``.
 
-        Args:
-            obs: Normalised, ``[B, D]``.
-            action: Suggestions in N groups.
-            critic: Number of a critic for each group, ``[N]``.
+        Observations are normalised, ``[B, D]``; ``critic``, ``[N]``, has the critic of each group.
         """
         critics = self.train_state.critics
         return score_many(critics.form, critics.weights.pick(critic), obs, action)

@@ -33,18 +33,11 @@ class Suggester:
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
 
-    Args:
-        normaliser: Of the observations.
-        policy: Suggests.
-        q_net: Picks; ``None`` in the mode ``first``.
-        action_low: Of the environment, ``[A]``, as ``action_high``.
-        mode: ``first``: the only suggestion, no Q inside (A2C, or Q is not trained yet: the argmax
-            of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``.
-        suggestions: K; 1 in the mode ``first``.
-        temperature: Of ``soft``.
-        action_mode: Whether Q sees suggestions clipped to the bounds, or raw. The environment gets
-            the same action either way.
-        q_scale: Returns in one unit of Q's output.
+    The modes are ``first``: the only suggestion, ``q_net`` ``None`` and K 1 (A2C, or Q is not trained
+    yet: the argmax of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``, with
+    ``temperature``. ``action_mode`` decides whether Q sees suggestions clipped to the bounds, ``[A]``,
+    or raw: the environment gets the same action either way. ``q_scale`` is the returns in one unit of
+    Q's output.
 
     Raises:
         ValueError: Mode, Q and K contradict each other.
@@ -110,7 +103,7 @@ def suggest(mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
 
 
 def as_q_sees(suggestion: Tensor, mode: ActionMode) -> Tensor:
-    """Suggestions of any shape as Q is given them: clipped to -1..1, or raw."""
+    """Suggestions of any shape in the form that Q takes: clipped to -1..1, or raw."""
     return suggestion.clamp(-1.0, 1.0) if mode == "clip" else suggestion
 
 
@@ -150,7 +143,7 @@ def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor
 
 
 def inverse_temperature(progress: float) -> float:
-    """Of annealed soft selection, 1 at first: what is left of the run, but never 0."""
+    """Of annealed soft selection, 1 at first: the fraction of the run that is left, but never 0."""
     return max(1.0 - progress, _MIN_INVERSE_TEMPERATURE)
 
 

@@ -37,10 +37,10 @@ def gap_invariant(r: float, r_best: float, r_first: float) -> float:
     """``clip((r* - r) / scale, 0, 1)``, ``scale = max(|r*|, r* - r_first)``.
 
     The same for returns of any scale and sign: 0.3 is the loss of 30 % of the best return, or of
-    what has been gained since the start where that is more.
+    the gain since the start where that is more.
 
     Source: differs from equation 5, which needs positive returns; section 6 of the paper asks for
-    such a rule.
+    this.
     """
     scale = max(abs(r_best), r_best - r_first)
     gap = (r_best - r) / scale if scale > 0 else float(r < r_best)

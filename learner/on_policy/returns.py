@@ -35,7 +35,7 @@ def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
 
 
 def bootstrap(batch: Batch, final_value: Tensor, *, time_limit_is_terminal: bool) -> Tensor:
-    """What is expected after each segment, ``[S]``: 0 once terminated, else V(final_obs).
+    """Expected return after each segment, ``[S]``: 0 once terminated, else V(final_obs).
 
     With ``time_limit_is_terminal``, the authors' way, it is 0 for a truncated segment too. A cut
     one is always bootstrapped.
@@ -66,14 +66,11 @@ def lambda_estimates(
 
 
 class ReturnScale:
-    """Running mean and standard deviation of targets, which Q and V are trained in units of.
+    """Running mean and standard deviation of targets, the unit in which Q and V are trained.
 
-    Call `update` between the use of the old predictions and the next fit: networks speak in the
-    unit of their last fit.
-
-    Args:
-        enabled: Otherwise the mean stays 0 and the standard deviation 1.
-        window_steps: Steps that are remembered, about.
+    Call `update` between the use of the old predictions and the next fit: the outputs of networks
+    are in the unit of their last fit. When not ``enabled`` the mean stays 0 and the standard deviation
+    1. About ``window_steps`` steps are remembered.
     """
 
     def __init__(self, *, enabled: bool, window_steps: int) -> None:

@@ -1,4 +1,4 @@
-"""Everything that learning changes: what a checkpoint holds, and what a recovery restores."""
+"""Everything that learning changes: contents of a checkpoint, and state restored by a recovery."""
 
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ _BEST = "best."
 
 
 class Snapshot(NamedTuple):
-    """Copies of what a recovery restores."""
+    """Copies of the state that a recovery restores."""
 
     tensors: dict[str, Tensor]  # parameters, moments and statistics of observations, by name
     returns: dict[str, float]  # state of the scale of returns
@@ -122,7 +122,7 @@ class TrainState:
     def recover(self, *, networks_only: bool = False) -> None:
         """Go back to the best networks, and with them to their optimisers and observations.
 
-        The scale of returns always goes with the networks: it is the unit in which they speak.
+        The scale of returns always goes with the networks: it is the unit of their outputs.
         """
         assert self.best is not None, "there is an r* but no networks that reached it"
         self._restore(self.best, networks_only=networks_only)

@@ -62,7 +62,7 @@ class OnPolicy(TrainState):
 
     @property
     def next_batch(self) -> BatchSize:
-        """What the next batch holds at least."""
+        """The least that the next batch holds."""
         return BatchSize(self.config.batch_steps_at(self.updates))
 
     def suggester(
@@ -70,10 +70,8 @@ class OnPolicy(TrainState):
     ) -> Suggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
-        Args:
-            action_low: Of the environment, ``[A]``.
-            action_high: Of the environment, ``[A]``.
-            progress: Fraction of the run that is done, 0..1; only ``anneal_selection`` reads it.
+        The environment's bounds are ``[A]``. ``progress`` is the fraction of the run that is done, 0..1;
+        only ``anneal_selection`` reads it.
         """
         config = self.config
         inverse = inverse_temperature(progress) if config.anneal_selection else 1.0
@@ -95,10 +93,9 @@ class OnPolicy(TrainState):
     ) -> UpdateStats:
         """Learn from a batch, or go back to the best networks.
 
-        Args:
-            batch: Segments made by the present networks, or by ones not much older.
-            progress: Fraction of the run that is done, 0..1; only ``lr_rule = anneal`` reads it.
-            is_behind: The networks before the last update made it, not the present ones.
+        Segments are by the present networks, or by ones not much older; with ``is_behind`` by those
+        before the last update. ``progress`` is the fraction of the run that is done, 0..1; only
+        ``lr_rule = anneal`` reads it.
 
         Raises:
             A2SError: The networks are no longer finite.
