@@ -70,12 +70,12 @@ class Feed:
     def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
         """Wait until the next batch is stored.
 
-        ``proceed`` is given what the batch waits for about once a second; when it returns false, the
-        wait ends.
+        ``proceed`` is given what the batch waits for about once a second; when it returns false,
+        the wait ends.
 
         Returns:
-            Its arrivals, in an order that does not depend on the order of arrival; empty if the wait
-            was ended.
+            Its arrivals, in an order that does not depend on the order of arrival; empty if the
+            wait was ended.
 
         Raises:
             A2SError: Steps cannot be stored, or the replay cannot be reached.

@@ -28,8 +28,8 @@ class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
     ``connect`` makes the feed of a generation and is given the handler of events. ``env_steps`` are
-    those of earlier starts. ``kind`` names the kind of run; checkpoints of another kind are refused.
-    ``saved`` is a checkpoint to go on from. The trainer is closed at the end.
+    those of earlier starts. ``kind`` names the kind of run; checkpoints of another kind are
+    refused. ``saved`` is a checkpoint to go on from. The trainer is closed at the end.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or has changed since it was saved.
@@ -131,8 +131,8 @@ class Learner:
     def _recover(self, outcome: Outcome, proceed: Callable[[str], bool]) -> None:
         """Broadcast and write down a recovery; the restored networks are published next.
 
-        Steps in play are waited for, though not learned from: so environments are at the same step in
-        every run.
+        Steps in play are waited for, though not learned from: so environments are at the same step
+        in every run.
         """
         status, decision = self._status, outcome.decision
         assert decision is not None

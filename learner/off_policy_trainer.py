@@ -51,7 +51,10 @@ def draw_returns(replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Gener
 
 
 class Source(Protocol):
-    """The source of batches: the run's own replay, or another run's. Its `columns` are its own ones."""
+    """The source of batches: the run's own replay, or another run's.
+
+    ``columns`` are its own columns of ``updates.csv``.
+    """
 
     columns: tuple[str, ...]
 

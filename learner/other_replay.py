@@ -29,9 +29,9 @@ class OtherReplay:
     """The `Source` of an `OffPolicyTrainer`; the next batch is fetched while one is learned from.
 
     Nothing is changed there: priorities are the other learner's own. Every draw has a generator of
-    its own, so that a batch drawn ahead of a checkpoint is drawn again. ``size`` returns the number of
-    transitions it holds now; ``max_size`` is the most it will ever hold: its capacity, or its stored
-    rows.
+    its own, so that a batch drawn ahead of a checkpoint is drawn again. ``size`` returns the number
+    of transitions it holds now; ``max_size`` is the most it will ever hold: its capacity, or its
+    stored rows.
 
     Attributes:
         wanted: Transitions to wait for: as with actors, or all there can be if that is less.
@@ -112,7 +112,7 @@ class OtherReplay:
 
 
 class ReplayFeed(Feed):
-    """Every batch is a round of updates, worth a number of steps: ``utd_ratio`` updates a step."""
+    """Every batch is a round of updates, counted as steps: ``utd_ratio`` updates are worth one."""
 
     def __init__(self, source: OtherReplay, trainer: Trainer, utd_ratio: float) -> None:
         self._source, self._trainer = source, trainer

@@ -24,7 +24,7 @@ _EXPECTED = {
 
 
 class Setting(NamedTuple):
-    """What a field says of itself; the range is closed, for numbers only."""
+    """The default, range, meaning and source of a field; the range is closed, for numbers only."""
 
     meaning: str
     source: str

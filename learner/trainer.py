@@ -1,4 +1,4 @@
-"""What the learner's loop asks of a variant of the algorithm."""
+"""The interface between the learner's loop and a variant of the algorithm."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
@@ -11,7 +11,7 @@ Saved = tuple[dict[str, Tensor], dict[str, Any]]
 
 
 class Outcome(NamedTuple):
-    """What came of learning from a batch.
+    """The result of learning from a batch.
 
     Attributes:
         row: For ``updates.csv``, the variant's own columns.

@@ -109,7 +109,7 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
 
 
 def _inwards(bounds: npt.NDArray[Any], direction: float) -> Array:
-    """Round to float32, never outwards: an environment may refuse values just outside its bounds."""
+    """Round to float32, never outwards: an environment may refuse values just beyond a bound."""
     with np.errstate(over="ignore"):
         rounded = bounds.astype(np.float32)
         exact = bounds.astype(np.float64)

@@ -119,7 +119,7 @@ def _score(nodes: Nodes, kind: _Kind, seen: str, action: str) -> str:
 
 
 def _soften(nodes: Nodes, score: str, density: str, suggestions: int) -> tuple[str, str]:
-    """The quantity that is largest at the drawn suggestion, and densities as executed, ``[B, K]``."""
+    """What is largest at the drawn suggestion, and the densities as executed, ``[B, K]`` each."""
     add, axis = nodes.add, nodes.axis(1)
     is_drawn = add("Sign", add("ReduceSumSquare", "gumbel", axis, keepdims=1))
     correction = add("Mul", density, is_drawn)

@@ -13,8 +13,8 @@ from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 class Admission:
     """Judges hellos and segments.
 
-    ``generation`` counts the learner's starts. ``max_policy_lag`` is how many versions a segment may
-    be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
+    ``generation`` counts the learner's starts. ``max_policy_lag`` is how many versions a segment
+    may be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
     """
 
     run: RunConfig

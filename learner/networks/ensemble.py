@@ -121,9 +121,9 @@ class Ensemble:
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
     """Evaluate several actions for every observation; the observation's part is computed once.
 
-    The input of ``form`` is observation and action joined. Observations are ``[B, D]``, actions each
-    member's own, ``[E, B, K, A]``. ``weights`` of a single network have no dimension E, and neither
-    has anything else then.
+    The input of ``form`` is observation and action joined. Observations are ``[B, D]``, actions
+    each member's own, ``[E, B, K, A]``. ``weights`` of a single network have no dimension E, and
+    neither has anything else then.
 
     Returns:
         Means of the outputs, ``[E, B, K]``.

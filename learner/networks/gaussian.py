@@ -16,8 +16,8 @@ HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 def log_density(normal: Tensor, log_std: Tensor, squashed: Tensor | None = None) -> Tensor:
     """Log density of ``u = mean + std * normal``, or of ``tanh(u)``, summed over the dimensions.
 
-    ``normal`` is ``[..., A]``, ``log_std`` ``[..., A]`` or ``[A]``. ``squashed`` is u, ``[..., A]``,
-    if the density is that of ``tanh(u)``.
+    ``normal`` is ``[..., A]``, ``log_std`` ``[..., A]`` or ``[A]``. ``squashed`` is u, ``[...,
+    A]``, if the density is that of ``tanh(u)``.
 
     Returns:
         ``[...]``. ``log(1 - tanh(u)^2)`` is written ``2 (log 2 - u - softplus(-2 u))``, which is
@@ -78,8 +78,8 @@ class Policy:
     def differentiate(self, tape: Tape, grad_mean: Tensor, grad_log_std: Tensor) -> None:
         """Overwrite the gradients of all parameters, with a tape from `trace`.
 
-        The gradient of the loss by the means is ``[N, A]``, that by the log standard deviation ``[A]``;
-        the latter is not used when the deviation is fixed.
+        The gradient of the loss by the means is ``[N, A]``, that by the log standard deviation
+        ``[A]``; the latter is not used when the deviation is fixed.
         """
         self.network.differentiate(tape, grad_mean)
         if self.learns_std:

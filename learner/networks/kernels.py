@@ -55,10 +55,9 @@ def forward(
 
 
 @_compiled  # type: ignore[untyped-decorator]
-def backward(  # noqa: C901 - its loops are the branches
-    grad: Array, x: Array, out: Array, stats: Array, gain: Array, bias: Array, has_bias: bool,
-    relu: bool, wanted: bool, by_input: Array, by_gain: Array, by_offset: Array, by_bias: Array,
-) -> None:  # fmt: skip
+def backward(grad: Array, x: Array, out: Array, stats: Array, gain: Array,  # noqa: C901 - loops
+    bias: Array, has_bias: bool, relu: bool, wanted: bool, by_input: Array, by_gain: Array,
+    by_offset: Array, by_bias: Array) -> None:  # fmt: skip
     """Fill ``by_input [E, N, W]`` and, if wanted, the gradients by the parameters.
 
     ``grad`` is the gradient by ``out``. ``by_bias`` is written only if there is a bias.

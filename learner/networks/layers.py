@@ -26,8 +26,8 @@ class Layer(Protocol):
     def backward(self, weights: Weights, grads: Weights | None, kept: Any, grad: Tensor) -> Tensor:
         """Turn the gradient by the output into that by the input.
 
-        ``kept`` is what `forward` appended to the tape. The gradients of the parameters, ``grads``, are
-        overwritten; ``None``: not wanted.
+        ``kept`` is what `forward` appended to the tape. The gradients of the parameters, ``grads``,
+        are overwritten; ``None``: not wanted.
         """
 
 

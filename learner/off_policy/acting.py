@@ -29,11 +29,11 @@ class OffPolicySuggester:
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
 
-    The modes are ``uniform``: actions spread evenly over the bounds, for warm-up, without the policy;
-    ``first``: the only suggestion; ``hard``: the one of largest score; ``soft``: drawn, each with a
-    chance in proportion to exp(score / temperature) over its density under the policy. As K grows,
-    that is a draw from the Boltzmann distribution of the scores, to which SAC's policy is fitted, and
-    so no less random than the policy is to be (docs/adr/0011).
+    The modes are ``uniform``: actions spread evenly over the bounds, for warm-up, without the
+    policy; ``first``: the only suggestion; ``hard``: the one of largest score; ``soft``: drawn,
+    each with a chance in proportion to exp(score / temperature) over its density under the policy.
+    As K grows, that is a draw from the Boltzmann distribution of the scores, to which SAC's policy
+    is fitted, and so no less random than the policy is to be (docs/adr/0011).
 
     Only ``hard`` and ``soft`` use the critics; in the other modes K is 1. Action bounds are float32
     ``[A]``. The ``temperature`` of ``soft`` is in returns, ``[]``; critics are in units of
@@ -68,8 +68,8 @@ class OffPolicySuggester:
     def __call__(self, obs: Tensor, normal: Tensor, gumbel: Tensor | None = None) -> Choice:
         """Choose actions for observations as the environment gave them, float32 ``[B, D]``.
 
-        Standard normal noise is ``[B, K, A]``; standard Gumbel noise ``[B, K]`` is for the mode ``soft``.
-        Without it, or where all of it is 0, the largest score counts.
+        Standard normal noise is ``[B, K, A]``; standard Gumbel noise ``[B, K]`` is for the mode
+        ``soft``. Without it, or where all of it is 0, the largest score counts.
         """
         q_spread = torch.zeros(len(obs), device=obs.device)
         if self.mode == "uniform":
@@ -100,7 +100,10 @@ class OffPolicySuggester:
         return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
 
     def score(self, norm_obs: Tensor, action: Tensor) -> Tensor:
-        """Means of the critics, in returns: normalised ``[B, D]``, canonical ``[B, K, A]`` to ``[B, K]``."""
+        """Means of the critics, in returns, ``[B, K]``.
+
+        Observations are normalised, ``[B, D]``, actions canonical, ``[B, K, A]``.
+        """
         critics = self.critics
         shared = action.expand(critics.members, *action.shape)
         q_value = score_many(critics.form, critics.exact, norm_obs, shared) * self.return_size

@@ -35,8 +35,8 @@ def squared_loss(q_value: Tensor, target: Tensor, weight: Tensor) -> CriticLoss:
 def quantile_loss(q_value: Tensor, target: Tensor, weight: Tensor, width: float) -> CriticLoss:
     """Huber loss of quantile regression, a mean over pairs of atoms and the weighted batch.
 
-    Atoms are ``[E, B, M]``, those of the target ``[B, M']``, weights ``[B]``. Errors beyond ``width``,
-    kappa, above 0, count by their size alone.
+    Atoms are ``[E, B, M]``, those of the target ``[B, M']``, weights ``[B]``. Errors beyond
+    ``width``, kappa, above 0, count by their size alone.
 
     Source: Dabney et al. 2018, equation 10; Kuznetsov et al. 2020 (TQC).
     """

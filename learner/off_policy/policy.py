@@ -50,8 +50,8 @@ def pathwise(
 def score(policy: Gaussian, normal: Tensor, q_value: Tensor, temperature: Tensor) -> PolicyStep:
     """Make suggestions likelier that are better than the mean of the others.
 
-    The noise of K suggestions is ``[B, K, A]``, their values ``[B, K]``. ``temperature``, ``[]``, is
-    the weight of the entropy, which counts as a part of the value.
+    The noise of K suggestions is ``[B, K, A]``, their values ``[B, K]``. ``temperature``, ``[]``,
+    is the weight of the entropy, which counts as a part of the value.
     """
     log_std = policy.log_std.unsqueeze(1)
     std = log_std.exp()

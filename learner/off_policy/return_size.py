@@ -10,7 +10,8 @@ _MIN = torch.finfo(torch.float32).tiny
 class ReturnSize:
     """Root mean square of returns: the mean of all samples so far, of about the last 50 later.
 
-    It is not their deviation: that is 0 where every return is alike. When not ``enabled`` it stays 1.
+    It is not their deviation: that is 0 where every return is alike. When not ``enabled`` it stays
+    1.
 
     Attributes:
         mean_square: Float64 ``[]``; 1 before the first sample.

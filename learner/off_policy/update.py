@@ -68,8 +68,8 @@ class OffPolicy:
             stats = algorithm.update(replay.sample())
             replay.prioritise(stats.error)
 
-    An update copies nothing to the host, and has the same shapes every time. ``seed`` is for the first
-    weights and every random choice.
+    An update copies nothing to the host, and has the same shapes every time. ``seed`` is for the
+    first weights and every random choice.
     """
 
     def __init__(
@@ -114,8 +114,8 @@ class OffPolicy:
     ) -> OffPolicySuggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
-        The environment's bounds are float32 ``[A]``. With ``warms_up`` it acts at random: nothing is
-        learned yet. ``averaged`` takes the average of the policy over time, to be kept and used.
+        The environment's bounds are float32 ``[A]``. With ``warms_up`` it acts at random: nothing
+        is learned yet. ``averaged`` takes the average of the policy over time, to be kept and used.
         """
         return_size = self.train_state.return_size()
         picks = self.hyper.act_suggestions > 1 and not warms_up
@@ -260,7 +260,7 @@ class OffPolicy:
         return value, critics.by_input(tape, grad, self.obs_size).sum(0)
 
     def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
-        """Scores by one critic a group, of suggestions in N groups, ``[N, B, K, A]``: ``[N, B, K]``.
+        """Scores ``[N, B, K]`` of suggestions in N groups, ``[N, B, K, A]``, by one critic a group.
 
         Observations are normalised, ``[B, D]``; ``critic``, ``[N]``, has the critic of each group.
         """

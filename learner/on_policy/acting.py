@@ -33,11 +33,11 @@ class Suggester:
     best of K, the mean among them                      ``normal[:, 0] = 0``, ``gumbel = 0``
     ==================================================  ==========================================
 
-    The modes are ``first``: the only suggestion, ``q_net`` ``None`` and K 1 (A2C, or Q is not trained
-    yet: the argmax of an untrained Q is one arbitrary direction everywhere); ``hard``; ``soft``, with
-    ``temperature``. ``action_mode`` decides whether Q sees suggestions clipped to the bounds, ``[A]``,
-    or raw: the environment gets the same action either way. ``q_scale`` is the returns in one unit of
-    Q's output.
+    The modes are ``first``: the only suggestion, ``q_net`` ``None`` and K 1 (A2C, or Q is not
+    trained yet: the argmax of an untrained Q is one arbitrary direction everywhere); ``hard``;
+    ``soft``, with ``temperature``. ``action_mode`` decides whether Q sees suggestions clipped to
+    the bounds, ``[A]``, or raw: the environment gets the same action either way. ``q_scale`` is the
+    returns in one unit of Q's output.
 
     Raises:
         ValueError: Mode, Q and K contradict each other.

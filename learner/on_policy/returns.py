@@ -69,8 +69,8 @@ class ReturnScale:
     """Running mean and standard deviation of targets, the unit in which Q and V are trained.
 
     Call `update` between the use of the old predictions and the next fit: the outputs of networks
-    are in the unit of their last fit. When not ``enabled`` the mean stays 0 and the standard deviation
-    1. About ``window_steps`` steps are remembered.
+    are in the unit of their last fit. When not ``enabled`` the mean stays 0 and the standard
+    deviation 1. About ``window_steps`` steps are remembered.
     """
 
     def __init__(self, *, enabled: bool, window_steps: int) -> None:

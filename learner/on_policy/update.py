@@ -70,8 +70,8 @@ class OnPolicy(TrainState):
     ) -> Suggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
-        The environment's bounds are ``[A]``. ``progress`` is the fraction of the run that is done, 0..1;
-        only ``anneal_selection`` reads it.
+        The environment's bounds are ``[A]``. ``progress`` is the fraction of the run that is done,
+        0..1; only ``anneal_selection`` reads it.
         """
         config = self.config
         inverse = inverse_temperature(progress) if config.anneal_selection else 1.0

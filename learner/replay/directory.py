@@ -32,14 +32,14 @@ def create(
     batch_size: int = 1,
     alpha: float = 0.6,
 ) -> Replay:
-    """Make a replay; all the room that it will need on the disk is taken now.
+    """Make a replay; its room on the disk is taken now.
 
     It keeps the newest ``capacity`` transitions, which must be enough for the largest batch;
     ``alpha`` is the exponent of the priorities.
 
     Raises:
         UsageError: The capacity is below one batch.
-        RunDirectoryError: There is a replay already, no room, or no permission.
+        RunDirectoryError: A replay exists already, or room or permission is missing.
     """
     _require_capacity(capacity, batch_size)
     about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=1)
@@ -76,7 +76,7 @@ def open_existing(
 
     Raises:
         UsageError: The capacity is below one batch.
-        RunDirectoryError: There is none, it is damaged, of another environment or in use, or
+        RunDirectoryError: The replay is missing, damaged, of another environment or in use, or
             there is no room for another capacity; nothing was destroyed.
     """
     about = describe(path)
@@ -111,14 +111,14 @@ def open_existing(
 
 
 def look_at(path: Path, *, alpha: float = 0.6, alone: bool = False) -> Replay:
-    """Open a replay to read it, also while a learner writes to it: it is seen as it is now.
+    """Open a replay to read it, also while a learner writes to it: its present state is seen.
 
-    Nothing in the directory is changed. What the learner inserts later is not seen, but comes to
-    lie over the oldest rows: to read for long, ask to be ``alone``, which refuses a replay that a
+    Nothing in the directory is changed. Later insertions of the learner are not seen, but
+    overwrite the oldest rows: to read for long, ask to be ``alone``, which refuses a replay that a
     learner writes to, and keeps learners out until it is closed.
 
     Raises:
-        RunDirectoryError: There is none, it is damaged, or a learner writes to it.
+        RunDirectoryError: The replay is missing or damaged, or a learner writes to it.
     """
     about = describe(path)
     with locked(path, to_read=True) if alone else nullcontext(-1) as lock_file:
@@ -154,7 +154,7 @@ def _resize(path: Path, about: Description, found: Repair) -> tuple[Files, Ring]
 
 
 def _next_piece(record: Record, target: Ring) -> Record:
-    """Cut from a record what comes next and fits in one stretch."""
+    """Cut the next part of a record that fits in one stretch."""
     row = target.end
     end = min(record.end, row + target.room)
     flags = record.flags

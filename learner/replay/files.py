@@ -67,7 +67,7 @@ def describe(path: Path) -> Description:
     """Read the description of a replay directory.
 
     Raises:
-        RunDirectoryError: There is none, or it is of another format.
+        RunDirectoryError: The description is missing, or of another format.
     """
     try:
         document = json.loads((path / NAME).read_bytes())
@@ -94,7 +94,7 @@ def describe(path: Path) -> Description:
 
 
 class Files:
-    """The open files of a replay; what is written to them survives this process.
+    """The open files of a replay; written data survives this process.
 
     With ``new`` they are made, all zeros, with all their room, so that a full disk is noticed now;
     they count once ``replay.json`` names them.
@@ -104,7 +104,7 @@ class Files:
         priority: One number a slot, float32 ``[S]``.
         index_path: The file of records.
         index: The same, once it is opened for appending.
-        lock_file: What `locked` gave, to be closed with the files; -1 without.
+        lock_file: The descriptor from `locked`, to be closed with the files; -1 without.
 
     Raises:
         RunDirectoryError: There is no room for a file, or it is missing or of another size.
@@ -136,7 +136,7 @@ class Files:
             raise
 
     def flush(self) -> None:
-        """Write what was opened for writing to the disk, in case the machine dies."""
+        """Write the writable files to the disk, in case the machine dies."""
         if self.index is not None:
             for mapped in self._maps:
                 mapped.flush()
@@ -180,7 +180,7 @@ def _map(path: Path, shape: tuple[int, ...], *, new: bool, writable: bool) -> Fl
 def locked(path: Path, *, to_read: bool = False) -> Iterator[int]:
     """Keep writers out until the descriptor is closed, which this does only after an error.
 
-    Only one process can, and it may write; with ``to_read`` several can, and none of them may.
+    Only one process can hold it, and may write; with ``to_read`` several can, and must not write.
 
     Raises:
         RunDirectoryError: Another process writes there, or keeps writers out.

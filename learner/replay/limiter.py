@@ -22,12 +22,8 @@ class Limiter:
             batch = replay.sample(batch_size, rng)
             limiter.count_sample()
 
-    Args:
-        ratio: Transitions sampled for each one inserted: updates a step times the batch size.
-        min_size: Transitions inserted before the first batch.
-        band: How far either side may be ahead, in sampled transitions.
-        segment_steps: Transitions of the longest segment.
-        batch_size: Transitions of a batch.
+    ``ratio`` is updates a step times the batch size, ``band`` is in sampled transitions, and
+    ``segment_steps`` are the transitions of the longest segment.
 
     Raises:
         UsageError: A number is out of its range, or with this band both sides could wait.
@@ -81,7 +77,7 @@ class Limiter:
     def may_sample(self, inserts: int | None = None) -> bool:
         """Whether another batch keeps within the band; counts a wait if not.
 
-        It goes by this number of ``inserts``, which is by default that of all.
+        It goes by ``inserts``, by default the number of all insertions.
         """
         present = self.inserts if inserts is None else inserts
         is_filled = present >= self._min_size
@@ -98,7 +94,7 @@ class Limiter:
         self.samples += self._batch_size
 
     def state(self) -> dict[str, float]:
-        """What a checkpoint holds."""
+        """The contents of a checkpoint."""
         return {
             "inserts": self.inserts,
             "error": self.error,
@@ -107,7 +103,7 @@ class Limiter:
         }
 
     def load(self, state: Mapping[str, float], inserts: int) -> None:
-        """Go on from a checkpoint: as far behind as then, and by what was inserted since.
+        """Go on from a checkpoint: as far behind as then, plus the insertions since.
 
         The ratio may have been another then, and ``inserts``, those by now, may be fewer because
         another replay was begun.

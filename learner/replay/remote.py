@@ -1,4 +1,4 @@
-"""A replay over the network: what the learner serves, and how others sample it."""
+"""A replay over the network: the learner's server, and the client that samples it."""
 
 import threading
 import time
@@ -25,17 +25,9 @@ M = TypeVar("M", bound=Message)
 class ServedReplay:
     """Answers requests for transitions, one at a time, in a bounded share of the time.
 
-    After each answer it rests, so that however much is asked, the learner keeps the rest of a
-    core; requests wait for their turn.
-
-    Args:
-        bus: The connection.
-        keys: Of the run.
-        replay: Where to sample; the learner goes on inserting and sampling.
-        generation: Which start of the learner this is.
-        share: Of the time that may go into answers, above 0 and up to 1.
-        clock: Tells seconds.
-        rest: Waits for seconds.
+    After each answer it rests, so that under any load the learner keeps the rest of a core;
+    requests wait for their turn. ``share`` is the part of the time for answers, above 0 and up to
+    1; ``clock`` gives seconds and ``rest`` waits for seconds.
     """
 
     def __init__(
@@ -117,7 +109,7 @@ class RemoteReplay:
         self._keys = keys
 
     def info(self) -> ReplayInfo:
-        """Ask what it holds now; raises as `ask` does."""
+        """Ask for its present contents; raises as `ask` does."""
         return self._ask(self._keys.replay_info, b"", ReplayInfo)
 
     def sample(
@@ -146,7 +138,7 @@ class RemoteReplay:
         return Transitions(row=row, begin=sample.begin, end=sample.end, **columns)
 
     def ask(self, request: ReplayRequest) -> ReplaySample:
-        """Draw just the fields that are asked for.
+        """Draw just the requested fields.
 
         Raises:
             UnreachableError: Nobody answers.

@@ -24,7 +24,7 @@ class Repair:
         taken_back: Rows cut because the ledger does not know their segment.
 
     Raises:
-        RunDirectoryError: A file cannot be read, or something else than the end is damaged.
+        RunDirectoryError: A file cannot be read, or is damaged elsewhere than at the end.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Repair:
     def _make_live(self, written: int) -> list[Record]:
         """Make the newest rows live; those below ``written`` had been, before the cut."""
         records, ring, next_row = self._records, self.ring, self._next_row
-        # What was cut lies over the oldest rows, if it was much; a piece may have come after it.
+        # A large cut part lies over the oldest rows; a piece may have come after it.
         reach = written - ring.capacity - 2 * max_piece(ring.capacity)
         first = bisect_left(records, reach, key=lambda record: record.row)
         oldest = records[first].row if first < len(records) else next_row

@@ -123,9 +123,9 @@ class Ring:
         self._remember(record)
 
     def follow(self, row: Rows) -> Rows:
-        """Find the next step of the same episode, ``[B]``; the row itself where none is known.
+        """Find the next step of the same episode, ``[B]``; the row itself if it is not known.
 
-        What follows is always newer, so what follows a live row is live.
+        The next step is always newer, so that of a live row is live.
         """
         return row + self._distance.take(row % self.size)
 
@@ -144,7 +144,7 @@ class Ring:
         return Columns(*(column[slot : slot + count] for column in self.slots))
 
     def _previous(self, segment: Segment) -> int:
-        """Find the row of the step before a segment; only the very same observation will do.
+        """Find the row of the step before a segment; it must have the very same observation.
 
         The length alone is not enough: of two episodes with segments lost between them, one may
         seem to go on where the other was left.

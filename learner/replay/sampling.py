@@ -59,15 +59,9 @@ class Priorities:
     """The priority of every slot of a ring, and draws in proportion to it.
 
     There is no tree until the first draw: uniform sampling does not pay for one. Priorities have
-    no checksum: what is not a number of 0 or more counts as 1.
-
-    Args:
-        ring: The rows.
-        priority: Where the priorities lie, float32 ``[S]``.
-        alpha: Exponent: 0 is uniform, 1 fully proportional.
-
-    Attributes:
-        highest: The priority of a new row: the highest so far, at least 1.
+    no checksum: a value that is not a number of 0 or more counts as 1. They lie in ``priority``,
+    float32 ``[S]``. The exponent ``alpha`` is 0 for uniform draws, 1 for fully proportional ones.
+    ``highest`` is the priority of a new row: the highest so far, at least 1.
     """
 
     def __init__(self, ring: Ring, priority: Array, alpha: float) -> None:

@@ -22,8 +22,8 @@ _compiled = numba.njit(cache=True, nogil=True)
 class SumTree:
     """Non-negative leaves, ``[N]``, drawn with a chance in proportion to each.
 
-    Nodes, ``leaves`` among them, are float32, which halves the memory that a draw touches; what is
-    left of a share on the way down is float64.
+    Nodes, ``leaves`` among them, are float32, which halves the memory that a draw touches; the
+    remainder of a share on the way down is float64.
     """
 
     def __init__(self, leaves: Array) -> None:
@@ -107,7 +107,7 @@ def _walk(nodes: Array, starts: Rows, within: Floats) -> tuple[int, Rows, Floats
     """Find a node in each of B shares, ``within`` 0..1 of it, on a level of at most 16 B nodes.
 
     Shares ascend, so that one walk over the level finds all of them. Returns the level, the nodes
-    ``[B]``, and what is left of each share in its node ``[B]``.
+    ``[B]``, and the remainder of each share in its node ``[B]``.
     """
     total = 0.0
     for child in range(starts[-1], len(nodes)):
@@ -134,8 +134,8 @@ def _find(nodes: Array, starts: Rows, within: Floats) -> Rows:
 
     From where the walk ends all go down level by level, so that the memory of many is waited for at
     once. In a node the children are halved four times, without a branch that a processor would have
-    to guess: the upper half is taken if what is left reaches beyond the lower, and there is
-    anything in it.
+    to guess: the upper half is taken if the remainder reaches beyond the lower, and the upper half
+    is not empty.
     """
     walked: int
     found: Rows

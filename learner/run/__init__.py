@@ -1,1 +1,1 @@
-"""What a run is, and what it leaves on the disk and shows."""
+"""The settings of a run, its files on the disk, and its display."""

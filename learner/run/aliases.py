@@ -144,7 +144,7 @@ REMOVED = {
     },
 }
 _REASONS = {name: gone.reason for table in REMOVED.values() for name, gone in table.items()}
-# What the presets authors and paper had as settings: now constants, or unused as before.
+# Former settings of the presets authors and paper: now constants, or unused as before.
 _OF_AUTHORS: dict[str, object] = {
     "action_mode": "raw", "anneal_selection": False, "batch_growth": 1, "clip_ratio": 0.2,
     "critic_epochs": 10, "critic_follows_rule": True, "critic_learning_rate": 1e-3,
@@ -173,10 +173,8 @@ def without_removed(
 ) -> dict[str, object]:
     """Leave out removed hyperparameters whose value changed nothing.
 
-    Args:
-        given: Values by name.
-        variant: ``on-policy``, ``off-policy``, or ``authors`` for the presets authors and paper.
-        valid: All names that there are.
+    ``variant`` is ``on-policy``, ``off-policy``, or ``authors`` for the presets authors and paper;
+    ``valid`` are all its names.
     """
     gone = _TABLES[variant]
     return {
@@ -187,12 +185,7 @@ def without_removed(
 
 
 def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
-    """Say which valid name is meant by an unknown one.
-
-    Args:
-        name: The unknown name.
-        valid: All valid ones.
-        others: Other names of those.
+    """Say which valid name is meant by an unknown one; ``others`` are other names of valid ones.
 
     Returns:
         ``" (here it is 'replay_rows')"``; ``" (here it is the option --envs)"``;

@@ -24,14 +24,10 @@ _FORMAT = 4
 def save(
     folder: Path, updates: int, tensors: dict[str, Tensor], state: dict[str, Any], *, kind: str
 ) -> tuple[Path, int]:
-    """Write the checkpoint of an update, and forget all but the newest three.
+    """Write the checkpoint after ``updates`` updates, and delete all but the newest three.
 
-    Args:
-        folder: Where checkpoints are kept.
-        updates: Made so far; they name the checkpoint, with a count if it is not the first.
-        tensors: By name.
-        state: Anything that JSON can hold.
-        kind: Of the run, in words; another kind cannot go on from here.
+    The updates name it, with a count if it is not the first. ``state`` is anything that JSON can
+    hold; a run of another ``kind`` cannot go on from here.
 
     Returns:
         The checkpoint and its size in bytes.
@@ -97,7 +93,7 @@ def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]
 
 
 def _free(folder: Path, name: str) -> Path:
-    """Find a name that sorts last: what is there is never replaced, so a kill cannot lose it."""
+    """Find a name that sorts last; existing files are never replaced, so a kill cannot lose any."""
     same = [path for path in _all(folder) if path.name.startswith(name)]
     if not same:
         return folder / name

@@ -1,4 +1,4 @@
-"""What a run is: every setting, from the command line or a file, checked, and written down.
+"""The settings of a run, from the command line or a file, checked, and written down.
 
 A configuration is two tables of TOML, as every run directory keeps it::
 
@@ -71,12 +71,9 @@ class Configuration:
 
 
 def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolicyConfig:
-    """Hyperparameters of a preset with some of them changed.
+    """Hyperparameters of a preset, a key of `a2s.learner.on_policy.presets.PRESETS`, some changed.
 
-    Args:
-        preset: A key of `a2s.learner.on_policy.presets.PRESETS`.
-        algo: ``a2s`` or ``a2c``.
-        given: Values by name, of the right type or as text.
+    ``algo`` is ``a2s`` or ``a2c``. The values in ``given`` have the right type or are text.
 
     Raises:
         UsageError: The preset or a name is unknown, or a value impossible.
@@ -93,12 +90,10 @@ def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolic
 def off_policy(
     preset: str, given: Mapping[str, object], total_steps: int | None = None
 ) -> OffPolicyConfig:
-    """Hyperparameters of a preset with some of them changed.
+    """Hyperparameters of a preset, a key of `a2s.learner.off_policy.config.PRESETS`, some changed.
 
-    Args:
-        preset: A key of `a2s.learner.off_policy.config.PRESETS`.
-        given: Values by name, of the right type or as text.
-        total_steps: Of the run, of which at most a tenth is warm-up.
+    The values in ``given`` have the right type or are text. At most a tenth of the run's
+    ``total_steps`` is warm-up.
 
     Raises:
         UsageError: The preset or a name is unknown, or a value impossible.

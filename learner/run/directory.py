@@ -1,4 +1,4 @@
-"""The directory of a run: everything that it leaves behind. ``docs/run-directory.md`` lists it."""
+"""The directory of a run with all its files. ``docs/run-directory.md`` lists them."""
 
 import csv
 import fcntl
@@ -101,12 +101,10 @@ def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
 
 
 class RunDirectory:
-    """Files of one run, open for appending.
+    """Files of one run, open for appending; a missing directory is made.
 
-    Args:
-        path: The directory; made when it is not there.
-        update_columns: Of ``updates.csv``; a table that is there keeps its own.
-        clock: Seconds since the run began, those before a resume included.
+    ``update_columns`` are those of ``updates.csv``; an existing table keeps its own. ``clock``
+    gives seconds since the run began, those before a resume included.
 
     Raises:
         RunDirectoryError: It cannot be written, or ``generation`` is not an integer.
@@ -138,7 +136,7 @@ class RunDirectory:
     def episode(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
         """Append to ``episodes.csv``: the values of `EPISODE_COLUMNS` but for the first.
 
-        What environments tell has columns after these, each from the first episode that has it.
+        Metrics of environments have columns after these, each from the first episode that has it.
         """
         added = [name for name in metrics if name not in self._metric_names]
         if added:
@@ -237,7 +235,7 @@ def _short(value: object) -> object:
 
 
 def column_of(metric: str) -> str:
-    """Name the column of what an environment tells, other than ours."""
+    """Name the column of an environment's metric, different from ours."""
     return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
 
 

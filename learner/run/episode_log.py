@@ -7,13 +7,9 @@ from a2s.learner.run.metrics import LearnerMetrics
 
 
 class EpisodeLog:
-    """Writes a row for every finished episode, and counts it.
+    """Writes a row for every finished episode, adds it to ``stats`` and counts it.
 
-    Args:
-        stats: Added to.
-        directory: Of the run.
-        metrics: Where they are counted.
-        metric_names: What is kept of what environments tell.
+    ``metric_names`` are the environment's metrics to keep.
     """
 
     def __init__(
@@ -27,7 +23,7 @@ class EpisodeLog:
         self._metric_names = metric_names
 
     def add(self, episode: Episode, slot: int, env_steps: int) -> None:
-        """Write down an episode of the actor at a place, after so many steps of the run."""
+        """Write down an episode of the actor at a place, at this number of steps of the run."""
         told = episode.metrics.items()
         metrics = {column_of(n): value for n, value in told if n in self._metric_names}
         self._stats.add(episode.episode_return, episode.length, metrics)

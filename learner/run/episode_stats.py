@@ -1,4 +1,4 @@
-"""What the episodes of a run amount to so far."""
+"""Statistics of the episodes of a run so far."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ class EpisodeStats:
         best: Greatest return so far.
         returns: Of the last 100 episodes.
         lengths: Of the last 100 episodes, in steps.
-        metrics: What environments told of their last 100 episodes, by name.
+        metrics: The environments' metrics in their last 100 episodes, by name.
     """
 
     count: int = 0

@@ -1,4 +1,4 @@
-"""What the learner shows to Prometheus; ``docs/metrics.md`` explains every name."""
+"""The learner's Prometheus metrics; ``docs/metrics.md`` explains every name."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -147,7 +147,7 @@ class LearnerMetrics:
         return Gauge(f"a2s_learner_{name}", text, labels, registry=self.registry)
 
     def _unknown(self, name: str, text: str) -> Gauge:
-        """Make a gauge that is NaN, and not a plausible 0, until there is something to show."""
+        """Make a gauge that is NaN, and not a plausible 0, until it has a value."""
         gauge = self._gauge(name, text)
         gauge.set(math.nan)
         return gauge
@@ -179,7 +179,7 @@ class LearnerMetrics:
             self.recovery_best.set(stats.recovery.r if best is None else best)
 
     def show_off_policy(self, row: Mapping[str, float], gradient_steps: int) -> None:
-        """Show the means over the updates of a round, and how many they were."""
+        """Show the means over the updates of a round, and the number of these."""
         self.updates.inc()
         for network in ("q", "policy"):
             self.gradient_steps.labels(network=network).inc(gradient_steps)

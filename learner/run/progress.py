@@ -1,4 +1,4 @@
-"""How a run shows itself in the terminal: a live display, or plain lines where there is none."""
+"""A run in the terminal: a live display, or plain lines where it is not a terminal."""
 
 import sys
 import time
@@ -121,9 +121,7 @@ class LiveView:
 def make_view(title: str, *, quiet: bool) -> View:
     """Choose how to show progress: live on a terminal, plain lines elsewhere.
 
-    Args:
-        title: What runs.
-        quiet: Standard output is wanted for something else: write to standard error.
+    With ``quiet`` it writes to standard error, since standard output is used for something else.
     """
     out = sys.stderr if quiet else sys.stdout
     return LiveView(Console(file=out), title) if out.isatty() else PlainView(out)

@@ -1,4 +1,4 @@
-"""What outlasts this process: policies and checkpoints, and going on from them."""
+"""Saves policies and checkpoints, and goes on from them."""
 
 import logging
 from typing import Any
@@ -19,16 +19,8 @@ logger = logging.getLogger(__name__)
 class Saver:
     """Saves a run, and goes on with it.
 
-    Args:
-        trainer: What is saved.
-        status: What the run has reached; saved as well.
-        directory: Of the run.
-        metrics: Where checkpoints are shown.
-        kind: Of the run, in words; another kind cannot go on from its checkpoints.
-        obs_offset: Of the environment; saved as well.
-
-    Attributes:
-        latest: The policy that was saved last, as ONNX.
+    Checkpoints of another ``kind`` of run are refused. The status and the environment's
+    ``obs_offset`` are saved as well. ``latest`` is the policy that was saved last, as ONNX.
     """
 
     def __init__(
@@ -91,7 +83,7 @@ class Saver:
             self.keep_policy("best")
 
     def go_on(self, state: dict[str, Any]) -> None:
-        """Take up what a checkpoint says, and the episodes since; forget later updates."""
+        """Restore a checkpoint's state, and the episodes since; forget later updates."""
         status = self._status
         status.version, status.num_recoveries = state["version"], state["num_recoveries"]
         status.best_recent, status.worked_s = state["best_recent"], state["wall_s"]
@@ -103,6 +95,6 @@ class Saver:
 
 
 def obs_offset(state: dict[str, Any]) -> Array | None:
-    """That of the environment when a checkpoint was saved; the policy was trained with it."""
+    """The environment's offset when a checkpoint was saved; the policy was trained with it."""
     offset = state["obs_offset"]
     return None if offset is None else np.array(offset, dtype=np.float32)

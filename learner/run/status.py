@@ -1,4 +1,4 @@
-"""What a run has reached."""
+"""The progress that a run has made."""
 
 import hashlib
 import math
@@ -18,12 +18,11 @@ POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
 
 @dataclass(slots=True)
 class Status:
-    """What the learner's loop has reached.
+    """The progress of the learner's loop.
 
     Attributes:
-        run: Options of the run.
         episodes: Finished ones.
-        generation: Which start of the learner this is.
+        generation: Number of this start of the learner.
         env_steps: Environment steps learned from, those of earlier starts included.
         steps_at_start: The same, when this learner started.
         rows: Rows of ``updates.csv``.
@@ -84,7 +83,7 @@ class Status:
         return dict(zip(POSITION, position, strict=True))
 
     def message(self, members: Sequence[Member]) -> RunStatus:
-        """For whoever asks over the network."""
+        """The answer to requests over the network."""
         mean = self.episodes.mean_return
         return RunStatus(
             run=self.run.run,

@@ -22,7 +22,7 @@ def load_policy(path: str | Path, mode: str = "mean", seed: int = 0) -> "Policy"
         seed: Of the noise of ``best-of-k`` and ``behaviour``.
 
     Raises:
-        UsageError: There is no policy, or no such mode.
+        UsageError: There is no policy, or the mode is unknown.
     """
     from a2s.actors.policy import load_policy
 

@@ -1,1 +1,1 @@
-"""The commands of ``a2s``: each puts together what actors and learner offer."""
+"""The commands of ``a2s``, built from actors and learner."""

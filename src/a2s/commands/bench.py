@@ -1,4 +1,4 @@
-"""``a2s bench``: contenders that take turns, so that whatever else the machine does hits all."""
+"""``a2s bench``: contenders take turns, so that other load on the machine affects all of them."""
 
 import importlib
 import logging
@@ -18,11 +18,8 @@ SUITES = ("actor", "learner", "wire", "replay")
 class Contender(NamedTuple):
     """One way of doing something.
 
-    Attributes:
-        name: In the table.
-        call: Does it once.
-        size: Units that one call is worth.
-        is_baseline: What others are compared to: the fastest of the baselines.
+    ``name`` is for the table; ``call`` does it once, which is worth ``size`` units. The others are
+    compared to the fastest contender with ``is_baseline``.
     """
 
     name: str
@@ -39,19 +36,17 @@ class Contest(NamedTuple):
 
 
 def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
-    """Measure a suite on this machine.
+    """Measure a suite, one of `SUITES`, on this machine.
 
-    Args:
-        suite: One of `SUITES`.
-        rounds: Turns of every contender, after one that warms up.
-        seconds: Length of a turn, at least.
+    ``rounds`` are turns of every contender, after one that warms up; a turn takes at least
+    ``seconds``.
 
     Returns:
         Rows ``{name, value, unit, baseline, ratio}``: medians over the rounds of the rate and of
         the fastest baseline, and of the ratio of both within a round; ``None`` without one.
 
     Raises:
-        UsageError: There is no such suite.
+        UsageError: The suite is unknown.
     """
     if suite not in SUITES:
         raise UsageError(f"unknown benchmark {suite!r}{nearest(suite, SUITES)}")
@@ -62,7 +57,7 @@ def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Lay out what `bench` found."""
+    """Lay out the results of `bench`."""
     lines = []
     for row in rows:
         ratio = "" if row["ratio"] is None else f"{row['ratio']:8.2f} x the fastest other"

@@ -1,8 +1,8 @@
 """One off-policy update beside those of Stable-Baselines3 and sbx, all from rows of a buffer.
 
-Batches of 256, hidden layers 256-256, one thread of torch but where a name says two; JAX takes what
-it wants. Each contender has a process of its own: how memory is freed, and threads, are settings of
-a whole process.
+Batches of 256, hidden layers 256-256, one thread of torch unless a name says two; JAX is not
+limited. Each contender has its own process, because the release of memory and the number of
+threads are settings of a whole process.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""``a2s check``: whether an environment can be trained on, and what it is, on one page."""
+"""``a2s check``: a page on whether an environment can be trained on, and its properties."""
 
 import textwrap
 from typing import Any
@@ -8,7 +8,7 @@ _SHOWN = 8
 
 
 def page(found: dict[str, Any], command: str) -> str:
-    """Say on one page what was found, and the command that trains on it."""
+    """Give the findings on one page, and the command that trains on it."""
     lows, highs = found["action_low"], found["action_high"]
     lines = [
         f"environment   {found['env']}",

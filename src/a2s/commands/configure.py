@@ -25,16 +25,12 @@ def configure(
     resume: bool,
     defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[Configuration, Path]:
-    """Put file and options together, and decide where the run is kept.
+    """Combine file and options, and choose the directory of the run.
 
-    Args:
-        options: Of the command line; ``None`` where not given. ``lockstep`` stands for the clock,
-            ``suggestions`` and ``recovery`` for hyperparameters.
-        settings: ``KEY=VALUE`` hyperparameters.
-        config: A configuration file; a resumed run has its own.
-        run_dir: Directory of the run, if the user names one.
-        resume: Whether to go on with an existing run.
-        defaults: Of the command, where they differ from those of a run.
+    ``options`` are ``None`` where not given; ``lockstep`` stands for the clock, ``suggestions`` and
+    ``recovery`` for hyperparameters. ``settings`` are hyperparameters, ``KEY=VALUE``. A resumed run
+    has its own configuration file. ``defaults`` are the command's, where they differ from those of
+    a run.
 
     Raises:
         UsageError: Something is unknown, impossible or in use.
@@ -70,19 +66,17 @@ def configure(
 
 
 def placed(env: str) -> str:
-    """Name the file of an environment, if it is one, wherever it is named from."""
+    """Name the file of an environment, if it is one, from any working directory."""
     place, py, name = env.partition(".py:")
     return f"{Path(place).absolute()}{py}{name}" if py and "=" not in place else env
 
 
 def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -> EnvConfig:
-    """Make the configuration of an environment from options alone.
+    """Make the configuration of an environment from options alone, ``None`` where not given.
 
-    Args:
-        options: ``env`` and those of :func:`a2s.commands.options.environment`; ``None`` where not
-            given.
-        known: What holds where they say nothing, of a run; another ``env`` has nothing of it, and
-            arguments of the constructor are added to its own.
+    They are ``env`` and those of :func:`a2s.commands.options.environment`. ``known``, a run's,
+    fills in missing ones; it is ignored for another ``env``, and constructor arguments are added to
+    its own.
 
     Raises:
         UsageError: An option is impossible, or there is no environment.
@@ -113,7 +107,7 @@ def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -
 def _move_shorthands(
     given: dict[str, Any], hyper: dict[str, object], variant: str, preset: str
 ) -> None:
-    """Move the options that stand for hyperparameters to these."""
+    """Move the shorthand options to the hyperparameters that they stand for."""
     if "suggestions" in given:
         name = "act_suggestions" if variant == "off-policy" else "suggestions"
         hyper[name] = given.pop("suggestions")

@@ -31,14 +31,14 @@ def evaluate_run(
     """Evaluate a run directory or a policy file.
 
     ``options`` of the environment replace the run's, as `environment_of` takes them; ``weights``
-    of a run are ``latest`` or ``best``. The evaluation ends when ``proceed`` says false.
+    of a run are ``latest`` or ``best``. The evaluation ends when ``proceed`` returns false.
 
     Returns:
-        The JSON object of ``a2s evaluate --json``; empty when told not to proceed.
+        The JSON object of ``a2s evaluate --json``; empty when it was ended.
 
     Raises:
         UsageError: There is no policy, or it does not fit the environment.
-        FaultyEnvironmentError: The environment raised, hung, or gave what none may.
+        FaultyEnvironmentError: The environment raised, hung, or returned something invalid.
     """
     if weights not in _WEIGHTS:
         raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
@@ -71,7 +71,7 @@ def evaluate_run(
 
 
 def line(result: dict[str, Any]) -> str:
-    """Say in one line what `evaluate_run` found."""
+    """Give the result of `evaluate_run` in one line."""
     values = (result["mean"], result["std"], min(result["returns"]), max(result["returns"]))
     mean, std, low, high = map(written, values)
     return (

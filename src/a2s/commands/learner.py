@@ -45,7 +45,7 @@ _LOOPBACK = ("/127.", "/localhost:", "/[::1]:", "unixsock-stream/")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """Where a learner works and what it shows.
+    """Where a learner works and how it shows its progress.
 
     Attributes:
         path: Directory of the run.
@@ -82,7 +82,7 @@ class Place:
             yield stop, metrics, url
 
     def write_config(self, configuration: Configuration) -> None:
-        """Only once the run can go on with it: what was there before is resumed by default."""
+        """Write it only once the run can go on with it: an existing one is resumed by default."""
         text = configuration.to_toml()
         run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
 
@@ -194,16 +194,13 @@ def source_of(
 ) -> tuple[AnyReplay, Description | ReplayInfo, Callable[[], int], int]:
     """Open the replay of a run.
 
-    Args:
-        source: A run directory, or the name of a run whose learner listens on ``connect``.
-        connect: Endpoint of that learner.
-        stack: Closes what was opened.
-        hyper: Of the run that learns. A directory is drawn from by its priority exponent; a
-            learner that serves has its own.
+    ``source`` is a run directory, or the name of a run whose learner listens on ``connect``. A
+    directory is drawn from by the priority exponent of ``hyper``; a learner that serves has its
+    own. ``stack`` closes all that was opened.
 
     Returns:
-        The replay, its description, a call for the number of transitions that it holds now, and
-        the most that it can hold.
+        The replay, its description, a function for the number of transitions that it holds now,
+        and the most that it can hold.
 
     Raises:
         UsageError: The source is a path, but not that of a directory, or a batch is more than a
@@ -238,7 +235,7 @@ def source_of(
 
 
 def _prepare_process(run: RunConfig) -> None:
-    """Set what holds for the whole process: its log, and how torch uses cores and memory."""
+    """Configure the whole process: its log, and how torch uses cores and memory."""
     log_warnings()
     if run.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")

@@ -1,4 +1,4 @@
-"""Writing a Minari data set: the one place that knows Minari."""
+"""Writes a Minari data set; only this file knows Minari."""
 
 import copy
 import importlib
@@ -29,23 +29,19 @@ _GROUP_BYTES = 16 * 1024
 def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
     """Write the whole episodes of a replay as a Minari data set.
 
-    Actions are as the environment took them: in its units, clipped to its bounds.
-
-    Args:
-        path: A replay directory.
-        dataset_id: For example ``a2s/hopper-v0``.
-        root: Where data sets are kept; ``None``: where Minari looks for them.
+    Actions are as the environment took them: in its units, clipped to its bounds. ``dataset_id`` is
+    for example ``a2s/hopper-v0``; without ``root`` Minari chooses the folder of data sets.
 
     Returns:
-        What was written: ``dataset``, ``path``, ``episodes``, ``steps``; ``left_out``, the
-        number of episodes of which not all steps are in the replay; and ``no_env_spec``, why the
-        data set does not say how to make its environment, ``None`` where it does.
+        ``dataset``, ``path``, ``episodes``, ``steps``; ``left_out``, the number of episodes of
+        which not all steps are in the replay; and ``no_env_spec``, why the data set does not say
+        how to make its environment, ``None`` where it does.
 
     Raises:
         UsageError: Minari is not installed, the name is taken or malformed, ``root`` cannot hold
             a data set, or no episode is whole.
         RunDirectoryError: There is no replay, or it is damaged.
-        A2SError: The data set cannot be written, for example for want of room; none is left.
+        A2SError: The data set cannot be written, for example for lack of room; it is removed.
     """
     if any(importlib.util.find_spec(module) is None for module in ("minari", "h5py")):
         raise UsageError("export needs minari with hdf5; install them: pip install 'a2s[minari]'")
@@ -63,7 +59,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
     with _whole_or_not(dataset_id, namespace, root) as partial:
         _require_room(partial, sum(map(room_of, episodes)))
         with _kept_in(partial), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about an author that we do not know
+            warnings.simplefilter("ignore")  # about an unknown author
             dataset = minari.create_dataset_from_buffers(
                 dataset_id=dataset_id,
                 buffer=[_buffer(i, episode, spaces) for i, episode in enumerate(episodes)],
@@ -99,14 +95,9 @@ def _buffer(index: int, episode: Episode, spaces: Spaces) -> Any:
 
 
 def executed(action: Array, spaces: Spaces) -> Array:
-    """Compute what the environment took, as the graph that actors run does, to the bit.
+    """Compute the actions that the environment took, as the actors' graph does, to the bit.
 
-    Args:
-        action: Canonical, not clipped, float32 ``[T, A]``.
-        spaces: Of the environment.
-
-    Returns:
-        In its units and within its bounds, float32 ``[T, A]``.
+    From canonical, not clipped, to the environment's units and bounds, float32 ``[T, A]`` both.
     """
     low, high, half = spaces.action_low, spaces.action_high, np.float32(0.5)
     wide: Array = action * ((high - low) * half) + (high + low) * half
@@ -114,10 +105,10 @@ def executed(action: Array, spaces: Spaces) -> Array:
 
 
 def spec_of(env_id: str) -> tuple[EnvSpec | None, str | None]:
-    """Find how to make the environment; the data are of use without it too.
+    """Find how to make the environment; the data are useful without it too.
 
     Returns:
-        The spec, and ``None``; or ``None``, and why there is none that can be written down.
+        The spec, and ``None``; or ``None``, and the reason why it cannot be written down.
     """
     module, _, name = env_id.rpartition(":")
     try:
@@ -156,7 +147,7 @@ def room_of(episode: Episode) -> int:
 
 
 def _require_room(path: Path, num_bytes: int) -> None:
-    """Take it, and give it back: HDF5 crashes where there is none."""
+    """Take the room, and give it back: HDF5 crashes when the disk is full."""
     room = path / "room"
     try:
         with room.open("wb") as file:

@@ -1,8 +1,8 @@
 """The options that commands share: one definition each, with a variable of the environment.
 
-An option that is not given is ``None``, so that a configuration file can have its say:
-option, then variable, then file, then default. Parameters of commands are named as the
-configuration names them, so that `named` can read them from the context of a command.
+An option that is not given is ``None``; then the variable, the file and the default follow in this
+order. Parameters of commands are named as the configuration names them, so that `named` can read
+them from the context of a command.
 """
 
 from collections.abc import Iterable
@@ -38,7 +38,7 @@ def named(context: typer.Context, names: Iterable[str]) -> dict[str, Any]:
 
 
 def words(context: typer.Context, given: dict[str, Any]) -> list[str]:
-    """Write what was given, as `named` reads it, on a command line again."""
+    """Write options from `named` back as words of a command line."""
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     values = {n: v if isinstance(v, tuple) else (v,) for n, v in given.items() if v is not None}
     return [word for n, many in values.items() for v in many for word in (options[n], str(v))]

@@ -1,4 +1,4 @@
-"""What commands do to their process: signals, standard streams, logging, ports."""
+"""The process of a command: signals, standard streams, logging, ports."""
 
 import contextlib
 import logging
@@ -21,11 +21,7 @@ _STANDARD_ERROR = 2
 
 
 class Stop(threading.Event):
-    """Set by the first signal.
-
-    Attributes:
-        interrupted: Whether it was a signal that set it.
-    """
+    """Set by the first signal; ``interrupted`` says whether it was set by a signal."""
 
     interrupted = False
 
@@ -56,7 +52,7 @@ def end_on_signals() -> None:
 
 
 def open_standard_streams() -> None:
-    """Open those that were closed before this process began: pipes would take their numbers."""
+    """Open streams that were closed before this process began: pipes would take their numbers."""
     fd = os.open(os.devnull, os.O_RDWR)
     while fd <= _STANDARD_ERROR:
         fd = os.open(os.devnull, os.O_RDWR)
@@ -72,7 +68,7 @@ def log_warnings() -> None:
 
 
 def pass_on(line: str) -> None:
-    """Pass on to standard error what an environment prints, if anybody still reads it."""
+    """Pass an environment's output on to standard error, if it is still open."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"{'' if line.startswith('environment ') else 'environment: '}{line}\n")
 

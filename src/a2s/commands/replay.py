@@ -20,7 +20,7 @@ from a2s.protocol.zenoh_bus import ZenohBus
 
 
 def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
-    """Say what a replay holds: of a run or replay directory, or of a run served at an endpoint.
+    """Describe a replay: of a run or replay directory, or of a run served at an endpoint.
 
     Returns:
         For example ``{"env": "Hopper-v5", "transitions": 81920, ...}``.

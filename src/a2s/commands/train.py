@@ -117,13 +117,13 @@ def _run(
 
 
 def _starts(path: Path) -> bytes:
-    """Read what every start of a learner changes."""
+    """Read the file that every start of a learner changes."""
     count = path / "generation"
     return count.read_bytes() if count.exists() else b""
 
 
 def _remove_traces(path: Path, log: Path) -> None:
-    """Leave no directory behind that would be taken for a run."""
+    """Remove a directory that would be mistaken for a run."""
     log.unlink()
     (path / "lock").unlink(missing_ok=True)
     if not any(path.iterdir()):
