@@ -1,4 +1,4 @@
-"""How people write numbers, and how numbers are written for them."""
+"""Reads the numbers that people write, and writes numbers for them."""
 
 from decimal import Decimal, InvalidOperation
 
@@ -6,10 +6,10 @@ _MAX_DIGITS = 309  # as the largest float has; 1e999999999 would not fit into me
 
 
 def whole(given: str | float) -> int:
-    """Read a whole number, however it is written: ``1000000``, ``1e6``, ``1000.0``.
+    """Read a whole number in any notation: ``1000000``, ``1e6``, ``1000.0``.
 
     Raises:
-        ValueError: It is none: ``1.5e0``, ``1e-3``, ``inf``, ``nan`` and what is no number.
+        ValueError: It is not one, for example ``1.5e0``, ``1e-3``, ``inf``, ``nan`` or a word.
     """
     try:
         number = Decimal(given)
