@@ -52,7 +52,7 @@ class OffPolicyConfig(Settings):
         1, "N of equation 8, groups averaged", "a batch is a mean already", low=1, high=1024
     )
     num_critics: int = setting(
-        2, "Q networks; the least target evaluates", "TD3 (Fujimoto et al. 2018)", low=1, high=64
+        2, "Q networks; the smallest target is used", "TD3 (Fujimoto et al. 2018)", low=1, high=64
     )
     num_quantiles: int = setting(
         25,
@@ -70,7 +70,7 @@ class OffPolicyConfig(Settings):
     )
     kappa: float = setting(
         0.02,
-        "Errors of atoms beyond it count by their size, within it by their square",
+        "Huber threshold: beyond it errors count by their size",
         "a few units of return, as TQC's 1; docs/adr/0012",
         low=1e-9,
         high=1e9,
@@ -154,7 +154,7 @@ class OffPolicyConfig(Settings):
     )
     n_step: int = setting(
         1,
-        "Rewards of so many steps are summed before the critics take over",
+        "Steps whose rewards are summed before the critics take over",
         _SAC_PAPER,
         low=1,
         high=1024,
@@ -173,7 +173,7 @@ class OffPolicyConfig(Settings):
     )
     warm_up_steps: int = setting(
         5000,
-        "Steps of uniform random actions before the first update",
+        "Random steps before the first update, at most a tenth of a run",
         "CleanRL; REDQ (Chen et al. 2021)",
         low=1,
     )
@@ -199,7 +199,7 @@ class OffPolicyConfig(Settings):
     )
     lead_steps: int = setting(
         16,
-        "Environment steps that either side may be ahead of ``utd_ratio``; it then waits",
+        "Steps that acting or learning may be ahead of ``utd_ratio`` before it waits",
         "at 256 actors play weights 250 updates old; docs/adr/0013",
         low=1,
     )

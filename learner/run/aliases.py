@@ -8,6 +8,7 @@ and ``entropy_per_action``.
 
 import math
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from a2s.protocol.errors import nearest
@@ -49,6 +50,7 @@ ON_POLICY = _EITHER | {
     "least_minibatches": "min_minibatches",
 }
 OFF_POLICY = _EITHER | {
+    "suggestions": "act_suggestions",
     "n_critics": "num_critics",
     "num_qs": "num_critics",
     "critics": "num_critics",
@@ -143,7 +145,6 @@ REMOVED = {
         "weight_decay": Removed((0,), "every preset had 0"),
     },
 }
-_REASONS = {name: gone.reason for table in REMOVED.values() for name, gone in table.items()}
 # Former settings of the presets authors and paper: now constants, or unused as before.
 _OF_AUTHORS: dict[str, object] = {
     "action_mode": "raw", "anneal_selection": False, "batch_growth": 1, "clip_ratio": 0.2,
@@ -184,17 +185,36 @@ def without_removed(
     }
 
 
-def meant(name: str, valid: Collection[str], others: Mapping[str, str]) -> str:
-    """Say which valid name is meant by an unknown one; ``others`` are other names of valid ones.
+def meant(
+    name: str,
+    valid: Collection[str],
+    variant: str = "on-policy",
+    elsewhere: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """Say which valid name is meant by an unknown one.
+
+    ``elsewhere`` says of names that are not valid here where they are.
 
     Returns:
         ``" (here it is 'replay_rows')"``; ``" (here it is the option --envs)"``;
-        ``" (removed: ...)"``; else what `nearest` says.
+        ``" (only with --variant off-policy: 'utd_ratio')"``; ``" (removed: ...)"``; else what
+        `nearest` says.
     """
-    if name in others:
-        return f" (here it is {others[name]!r})"
+    ours, others = (OFF_POLICY, ON_POLICY) if variant == "off-policy" else (ON_POLICY, OFF_POLICY)
+    target = ours.get(name, name)
+    if target in valid:
+        return f" (here it is {target!r})"
     if name in RUN:
         return f" (here it is the option --{RUN[name].replace('_', '-')})"
-    if name in _REASONS:
-        return f" (removed: {_REASONS[name]})"
+    if name in REMOVED[variant]:
+        reason = REMOVED[variant][name].reason
+        return f" ({reason})" if reason.startswith(_AUTHORS) else f" (removed: {reason})"
+    for each in (target, others.get(name, name)):
+        if each in elsewhere:
+            return f" (only {elsewhere[each]}{'' if each == name else f': {each!r}'})"
     return nearest(name, valid)
+
+
+def option_meant(name: str, valid: Collection[str]) -> str:
+    """Say which option of a run is meant by an unknown one."""
+    return f" (here it is {RUN[name]!r})" if name in RUN else nearest(name, valid)

@@ -20,7 +20,7 @@ from a2s.learner.on_policy import presets as on_policy_presets
 from a2s.learner.on_policy.authors_config import AuthorsConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.presets import AnyOnPolicyConfig
-from a2s.learner.run.aliases import OFF_POLICY, ON_POLICY, RUN, meant, without_removed
+from a2s.learner.run.aliases import meant, option_meant, without_removed
 from a2s.learner.run.run_config import RunConfig, Variant
 from a2s.protocol.errors import UsageError, nearest
 
@@ -80,7 +80,7 @@ def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolic
     """
     config = _preset(on_policy_presets.PRESETS, preset).config
     changed = config.as_a2c() if algo == "a2c" else config
-    hyper = _change(changed, given, ON_POLICY)
+    hyper = _change(changed, given, "on-policy")
     for name, only in (("suggestions", 1), ("distil", "off")) if algo == "a2c" else ():
         if (found := getattr(hyper, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with algo a2c")
@@ -104,7 +104,7 @@ def off_policy(
     if total_steps is not None:
         tenth = max(1, total_steps // _WARM_UP_PART)
         config = replace(config, warm_up_steps=min(tenth, config.warm_up_steps))
-    return _change(config, given, OFF_POLICY)
+    return _change(config, given, "off-policy")
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -131,7 +131,7 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     valid = set(RunConfig.about())
     for name in run:
         if name not in valid:
-            raise UsageError(f"{path}: unknown option {name!r} in [run]{meant(name, valid, RUN)}")
+            raise UsageError(f"{path}: unknown option {name!r} in [run]{option_meant(name, valid)}")
     return run, without_removed(hyper, *_remaining(run))
 
 
@@ -143,12 +143,11 @@ def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> N
     """
     if variant not in get_args(Variant):
         return  # which is refused later
-    valid, others = _names(variant)
+    valid = _names(str(variant))
     for name in hyper:
         if name not in valid:
-            raise UsageError(
-                f"{path}: unknown hyperparameter {name!r} in [hyper]{meant(name, valid, others)}"
-            )
+            hint = meant(name, valid, str(variant))
+            raise UsageError(f"{path}: unknown hyperparameter {name!r} in [hyper]{hint}")
 
 
 def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:
@@ -200,11 +199,21 @@ def _remaining(run: Mapping[str, Any]) -> tuple[str, Collection[str]]:
     return "on-policy", OnPolicyConfig.about()
 
 
-def _names(variant: object) -> tuple[Collection[str], Mapping[str, str]]:
-    """All hyperparameters of a variant's presets, and what else they are called."""
+def _names(variant: str) -> Collection[str]:
+    """All hyperparameters of a variant's presets."""
     if variant == "off-policy":
-        return OffPolicyConfig.about(), OFF_POLICY
-    return {**OnPolicyConfig.about(), **AuthorsConfig.about()}, ON_POLICY
+        return OffPolicyConfig.about()
+    return {**OnPolicyConfig.about(), **AuthorsConfig.about()}
+
+
+def _elsewhere(config: Hyper) -> dict[str, str]:
+    """Where the hyperparameters are that a configuration does not have."""
+    if isinstance(config, OffPolicyConfig):
+        return dict.fromkeys(_names("on-policy"), "on-policy")
+    found = dict.fromkeys(_names("off-policy"), "with --variant off-policy")
+    if isinstance(config, AuthorsConfig):
+        return found | dict.fromkeys(OnPolicyConfig.about(), "with --preset modern")
+    return found | dict.fromkeys(AuthorsConfig.about(), "with --preset authors or paper")
 
 
 def _preset(presets: Mapping[str, P], name: str) -> P:
@@ -213,12 +222,11 @@ def _preset(presets: Mapping[str, P], name: str) -> P:
     return presets[name]
 
 
-def _change(config: C, given: Mapping[str, object], others: Mapping[str, str]) -> C:
+def _change(config: C, given: Mapping[str, object], variant: str) -> C:
     valid = config.about()
     for name in given:
         if name not in valid:
-            is_modern = isinstance(config, AuthorsConfig) and name in OnPolicyConfig.about()
-            hint = " (only in the preset modern)" if is_modern else meant(name, valid, others)
+            hint = meant(name, valid, variant, _elsewhere(config))
             raise UsageError(f"unknown hyperparameter {name!r}{hint}")
     try:
         return replace(config, **config.parse(given))

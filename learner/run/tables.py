@@ -38,7 +38,7 @@ def _table(title: str, presets: Mapping[str, Any]) -> list[str]:
     lines = [
         f"## {title}",
         "",
-        f"| hyperparameter | {' | '.join(presets)} | range | meaning | why the first value |",
+        f"| hyperparameter | {' | '.join(presets)} | range | meaning | why (first column) |",
         f"|---{'|---' * (len(presets) + 3)}|",
     ]
     for name, setting in about.items():

@@ -1,5 +1,6 @@
 """Names of other libraries lead to ours."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -33,19 +34,36 @@ def test_what_is_said_to_be_an_option_is_one() -> None:
     learner = get_command(cli.app).commands["learner"]  # type: ignore[attr-defined]
     options = {option for parameter in learner.params for option in parameter.opts}
     for name in set(RUN) - set(ON_POLICY) - set(OFF_POLICY):
-        (option,) = meant(name, {}, ON_POLICY).strip(" ()").split()[-1:]
+        (option,) = meant(name, {}).strip(" ()").split()[-1:]
         assert option in options
 
 
 def test_a_name_that_nobody_has_is_told_the_nearest() -> None:
-    assert meant("gama", {"gamma", "tau"}, ON_POLICY) == " (did you mean 'gamma'?)"
+    assert meant("gama", {"gamma", "tau"}) == " (did you mean 'gamma'?)"
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "said"),
+    [
+        ({}, "updates_per_step", "only with --variant off-policy: 'utd_ratio'"),
+        ({}, "replay_rows", "only with --variant off-policy"),
+        ({"preset": "authors"}, "normalise_obs", "only with --preset modern: 'norm_obs'"),
+        ({}, "recovery_offset", "only in the presets authors and paper"),
+        ({"variant": "off-policy"}, "clip_range", "only on-policy: 'clip_ratio'"),
+        ({"variant": "off-policy"}, "suggestions", "here it is 'act_suggestions'"),
+    ],
+)
+def test_a_name_of_elsewhere_is_told_where(options: dict[str, str], name: str, said: str) -> None:
+    with pytest.raises(UsageError, match=f"^unknown hyperparameter '{name}' \\({said}\\)$"):
+        assemble(options, {name: "1"})
 
 
 @pytest.mark.parametrize(
     ("variant", "name"), [(variant, name) for variant, gone in REMOVED.items() for name in gone]
 )
 def test_a_name_that_is_gone_is_told_why(variant: str, name: str) -> None:
-    said = rf"unknown hyperparameter '{name}' \(removed: .+\)"
+    reason = re.escape(REMOVED[variant][name].reason)
+    said = rf"unknown hyperparameter '{name}' \((removed: )?{reason}\)"
     with pytest.raises(UsageError, match=f"^{said}$"):
         assemble({"variant": variant}, {name: "0.5"})
 
