@@ -135,18 +135,21 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return run, without_removed(hyper, *_remaining(run))
 
 
-def require_known(path: Path, hyper: Mapping[str, object], variant: object) -> None:
+def require_known(path: Path, hyper: Mapping[str, object], variant: object, preset: object) -> None:
     """Check the names in the table ``hyper`` of a file.
 
     Raises:
-        UsageError: One is not of this variant; the one that is meant is named.
+        UsageError: One is not of this preset; the one that is meant is named.
     """
-    if variant not in get_args(Variant):
+    presets: Mapping[str, Any] = on_policy_presets.PRESETS
+    if variant == "off-policy":
+        presets = off_policy_config.PRESETS
+    if variant not in get_args(Variant) or str(preset) not in presets:
         return  # which is refused later
-    valid = _names(str(variant))
+    config = presets[str(preset)].config
     for name in hyper:
-        if name not in valid:
-            hint = meant(name, valid, str(variant))
+        if name not in config.about():
+            hint = meant(name, config.about(), str(variant), _elsewhere(config))
             raise UsageError(f"{path}: unknown hyperparameter {name!r} in [hyper]{hint}")
 
 

@@ -92,6 +92,12 @@ def test_a_run_with_many_settings_fits_into_its_picture(tmp_path: Path) -> None:
     assert all(f"{name}=" in drawn for name in settings)
 
 
+def test_a_run_of_an_earlier_version_is_drawn_without_its_settings(tmp_path: Path) -> None:
+    """Its hyperparameters had other names."""
+    run = _run(tmp_path / "a", [(10, 1.0)], hyper="temperature = 2.0\nnormalise_obs = true")
+    assert identity(run) == ("Hopper-v5", "a2s modern")
+
+
 def test_an_off_policy_run_is_called_by_its_own_preset(tmp_path: Path) -> None:
     run = _run(tmp_path / "a", [(10, 1.0)], hyper="tau = 0.01")
     file = run / "config.toml"

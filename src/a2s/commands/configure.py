@@ -58,7 +58,7 @@ def configure(
     ):
         hyper_table = {}
     if config is not None:
-        configuration.require_known(config, hyper_table, variant)
+        configuration.require_known(config, hyper_table, variant, preset)
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
     if not resume:
         path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)

@@ -147,11 +147,18 @@ def _legend(label: str, num_seeds: int) -> str:
 
 
 def identity(run: Path) -> tuple[str, str]:
-    """Environment, and algorithm and preset with the hyperparameters that differ from it."""
+    """Environment, and algorithm and preset with the hyperparameters that differ from it.
+
+    Of a run of an earlier version, whose hyperparameters have other names, only the former.
+    """
     try:
-        found = configuration.assemble(*configuration.read(run / CONFIG))
+        options, hyper = configuration.read(run / CONFIG)
     except UsageError as error:
         raise UsageError(f"{run}: is not a run directory, no usable {CONFIG}: {error}") from None
+    try:
+        found = configuration.assemble(options, hyper)
+    except UsageError:
+        found = configuration.assemble(options, {})
     of = found.run
     name = f"{of.algo if of.variant == 'on-policy' else of.variant} {of.preset}"
     env = Path(of.env).name if ".py:" in of.env else of.env
