@@ -7,7 +7,7 @@ them from here.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 from a2s.learner.numerals import whole
 
@@ -71,6 +71,16 @@ class Settings:
         """
         kinds = {each.name: each.type for each in fields(cls)}
         return {name: _parse(name, kinds[name], value) for name, value in given.items()}
+
+
+S = TypeVar("S", bound=Settings)
+
+
+class Preset(NamedTuple, Generic[S]):
+    """A configuration, and the source of the values that are not defaults of its class."""
+
+    config: S
+    source: str
 
 
 def refuse(name: str, found: object, expected: str) -> None:

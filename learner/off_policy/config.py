@@ -6,9 +6,9 @@
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from a2s.learner.settings import Settings, check_most, refuse, setting
+from a2s.learner.settings import Preset, Settings, check_most, refuse, setting
 
 Selection = Literal["hard", "soft"]
 Network = Literal["mlp", "residual", "trunk"]
@@ -220,13 +220,6 @@ class OffPolicyConfig(Settings):
                 refuse("initial_temperature", 0.0, "above 0 with selection soft")
         if self.network == "trunk" and len(self.critic_sizes) < 2:
             refuse("critic_sizes", self.critic_sizes, "at least two with network trunk")
-
-
-class Preset(NamedTuple):
-    """A named configuration, and where its values come from that are no defaults."""
-
-    config: OffPolicyConfig
-    source: str
 
 
 _SAC = replace(

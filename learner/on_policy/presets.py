@@ -1,20 +1,12 @@
 """The presets of on-policy learning: for use, as the published code, as the text of the paper."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 from a2s.learner.on_policy.authors_config import AuthorsConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.settings import Preset
 
 AnyOnPolicyConfig = OnPolicyConfig | AuthorsConfig
-
-
-class Preset(NamedTuple):
-    """A configuration, and the source of the values that are not defaults of its class."""
-
-    config: AnyOnPolicyConfig
-    source: str
-
 
 _PAPER = replace(
     AuthorsConfig(),
@@ -25,7 +17,7 @@ _PAPER = replace(
     recovery_offset=0.0,  # equation 5
     recovery_learns=False,  # section 4.1.1
 )
-PRESETS = {
+PRESETS: dict[str, Preset[AnyOnPolicyConfig]] = {
     "modern": Preset(OnPolicyConfig(), ""),
     "authors": Preset(AuthorsConfig(), ""),
     "paper": Preset(_PAPER, "text of the paper"),

@@ -7,7 +7,7 @@ A configuration is two tables of TOML, as every run directory keeps it::
 """
 
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
@@ -22,6 +22,7 @@ from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 from a2s.learner.run.aliases import meant, option_meant, without_removed
 from a2s.learner.run.run_config import RunConfig, Variant
+from a2s.learner.settings import Preset
 from a2s.protocol.errors import UsageError, nearest
 
 Hyper = AnyOnPolicyConfig | OffPolicyConfig
@@ -56,8 +57,7 @@ class Configuration:
         """Every value with its source, one a line, as TOML with comments."""
         changed, about = self.changed(), type(self.hyper).about()
         defaults = asdict(type(self.hyper)())
-        module = off_policy_config if self.run.variant == "off-policy" else on_policy_presets
-        source = module.PRESETS[self.run.preset].source
+        source = _presets(self.run.variant)[self.run.preset].source
         lines = ["[run]"]
         lines += [f"{k} = {_toml(v)}" for k, v in asdict(self.run).items()]
         lines += ["", "[hyper]"]
@@ -80,7 +80,7 @@ def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolic
     """
     config = _preset(on_policy_presets.PRESETS, preset).config
     changed = config.as_a2c() if algo == "a2c" else config
-    hyper = _change(changed, given, "on-policy")
+    hyper = _change(changed, given)
     for name, only in (("suggestions", 1), ("distil", "off")) if algo == "a2c" else ():
         if (found := getattr(hyper, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with algo a2c")
@@ -104,7 +104,7 @@ def off_policy(
     if total_steps is not None:
         tenth = max(1, total_steps // _WARM_UP_PART)
         config = replace(config, warm_up_steps=min(tenth, config.warm_up_steps))
-    return _change(config, given, "off-policy")
+    return _change(config, given)
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -141,16 +141,10 @@ def require_known(path: Path, hyper: Mapping[str, object], variant: object, pres
     Raises:
         UsageError: One is not of this preset; the one that is meant is named.
     """
-    presets: Mapping[str, Any] = on_policy_presets.PRESETS
-    if variant == "off-policy":
-        presets = off_policy_config.PRESETS
+    presets = _presets(variant)
     if variant not in get_args(Variant) or str(preset) not in presets:
         return  # which is refused later
-    config = presets[str(preset)].config
-    for name in hyper:
-        if name not in config.about():
-            hint = meant(name, config.about(), str(variant), _elsewhere(config))
-            raise UsageError(f"{path}: unknown hyperparameter {name!r} in [hyper]{hint}")
+    _require_names(presets[str(preset)].config, hyper, f"{path}: ", " in [hyper]")
 
 
 def assemble(options: Mapping[str, Any], hyper: Mapping[str, object]) -> Configuration:
@@ -202,18 +196,15 @@ def _remaining(run: Mapping[str, Any]) -> tuple[str, Collection[str]]:
     return "on-policy", OnPolicyConfig.about()
 
 
-def _names(variant: str) -> Collection[str]:
-    """All hyperparameters of a variant's presets."""
-    if variant == "off-policy":
-        return OffPolicyConfig.about()
-    return {**OnPolicyConfig.about(), **AuthorsConfig.about()}
+def _presets(variant: object) -> Mapping[str, Preset[Any]]:
+    return off_policy_config.PRESETS if variant == "off-policy" else on_policy_presets.PRESETS
 
 
 def _elsewhere(config: Hyper) -> dict[str, str]:
     """Where the hyperparameters are that a configuration does not have."""
     if isinstance(config, OffPolicyConfig):
-        return dict.fromkeys(_names("on-policy"), "on-policy")
-    found = dict.fromkeys(_names("off-policy"), "with --variant off-policy")
+        return dict.fromkeys([*OnPolicyConfig.about(), *AuthorsConfig.about()], "on-policy")
+    found = dict.fromkeys(OffPolicyConfig.about(), "with --variant off-policy")
     if isinstance(config, AuthorsConfig):
         return found | dict.fromkeys(OnPolicyConfig.about(), "with --preset modern")
     return found | dict.fromkeys(AuthorsConfig.about(), "with --preset authors or paper")
@@ -225,12 +216,17 @@ def _preset(presets: Mapping[str, P], name: str) -> P:
     return presets[name]
 
 
-def _change(config: C, given: Mapping[str, object], variant: str) -> C:
+def _require_names(config: Hyper, names: Iterable[str], file: str = "", table: str = "") -> None:
     valid = config.about()
-    for name in given:
+    variant = "off-policy" if isinstance(config, OffPolicyConfig) else "on-policy"
+    for name in names:
         if name not in valid:
             hint = meant(name, valid, variant, _elsewhere(config))
-            raise UsageError(f"unknown hyperparameter {name!r}{hint}")
+            raise UsageError(f"{file}unknown hyperparameter {name!r}{table}{hint}")
+
+
+def _change(config: C, given: Mapping[str, object]) -> C:
+    _require_names(config, given)
     try:
         return replace(config, **config.parse(given))
     except ValueError as error:
