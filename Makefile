@@ -6,7 +6,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 INSTALLED := $(VENV)/.installed
 ARGS ?=
 # Later options win, so ARGS overrides these.
-TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 400000
+TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 300000
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train test test-fast test-all test-external check format docs build clean

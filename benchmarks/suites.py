@@ -40,9 +40,6 @@ LABELS: dict[str, tuple[str, ...]] = {
     "authors-a2c": ("--preset", "authors", "--algo", "a2c"),
     "k1": ("--suggestions", "1"),
     "k4": ("--suggestions", "4"),
-    "hard": ("--set", "selection=hard"),
-    "eq6": ("--set", "distil=separate"),  # the results are of `joint`, which is gone
-    "temperature-1": ("--set", "selection_temperature=1"),
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "off-policy-k1": _off(act_suggestions=1),
@@ -96,13 +93,9 @@ SUITES = {
     "million": Suite(
         "on_policy", MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000, 16
     ),
+    # The results have more labels, of options that are gone since.
     "ablation": Suite(
-        "on_policy",
-        _ABLATED,
-        ("modern", "k1", "k4", "hard", "temperature-1", "eq6", "no-recovery"),
-        (0, 1, 2),
-        300_000,
-        16,
+        "on_policy", _ABLATED, ("modern", "k1", "k4", "no-recovery"), (0, 1, 2), 300_000, 16
     ),
     "best-of-k": Suite("off_policy", _OFF_ABLATED, (*_BOTH, *_BEST_OF_K), (1, 2), 50_000, 1),
     "parts": Suite("off_policy", _OFF_ABLATED, ("off-policy", *_PARTS), (1, 2), 50_000, 1),

@@ -93,7 +93,7 @@ class OnPolicyTrainer:
     def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
         """Suggester with Q, as soon as that may choose; there is no average."""
         self._first_version = min(self._first_version, version)
-        suggester = self._algorithm.suggester(*self._bounds, progress)
+        suggester = self._algorithm.suggester(*self._bounds)
         return export(suggester, version, dict(self._metadata))
 
     def learn(self, progress: float) -> Outcome:

@@ -136,11 +136,12 @@ ROWS: dict[str, list[Panel]] = {
         ),
         Panel(
             "Does Q know the actions apart?",
-            "Correlation of Q - V with what the returns say, before Q is fitted to them; and "
-            "whether Q is trusted to choose among the suggestions: 1 or 0.",
+            "Correlation of what Q says of executed actions with their advantage, before Q is "
+            "fitted to them; how much of it is believed; and whether Q may choose: 1 or 0.",
             "none",
             {
                 "{{run}} correlation": "a2s_learner_q_action_correlation{}",
+                "{{run}} believed": "a2s_learner_q_slope{}",
                 "{{run}} trusted": "a2s_learner_q_trusted{}",
             },
         ),

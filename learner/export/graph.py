@@ -11,7 +11,7 @@ The nodes of a graph depend only on options and are made once (a template); each
 fills in the numbers. That takes about a millisecond, where tracing takes seconds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,11 @@ class Nodes:
         """Name of a number."""
         self._constants[f"{value}"] = np.array(value, np.float32)
         return f"{value}"
+
+    def column(self, values: Sequence[float]) -> str:
+        """Name of a column of numbers, ``[n, 1]``."""
+        self._constants["column"] = np.array(values, np.float32).reshape(-1, 1)
+        return "column"
 
     def axis(self, number: int) -> str:
         """Name of the number of a dimension."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from a2s.learner.export.graph import Nodes, Numbers, as_array
+from a2s.learner.networks import options
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.layer_norm import LAYER_NORM_EPS, Norm
@@ -50,9 +51,9 @@ def add_network(nodes: Nodes, name: str, layers: Sequence[Layer], x: str, *, row
             case Norm():
                 scale = (f"{name}.gain.{layer.index}", f"{name}.offset.{layer.index}")
                 x = nodes.add("LayerNormalization", x, *scale, axis=-1, epsilon=LAYER_NORM_EPS)
-                x = nodes.add("Relu", x) if layer.relu else x
+                x = x if layer.activation is None else _activate(nodes, layer.activation, x)
             case Activation():
-                x = nodes.add(layer.kind.capitalize(), x)
+                x = _activate(nodes, layer.kind, x)
             case Residual():
                 x = nodes.add("Add", x, add_network(nodes, name, layer.inner, x, rows=rows))
             case _:
@@ -60,8 +61,14 @@ def add_network(nodes: Nodes, name: str, layers: Sequence[Layer], x: str, *, row
     return x
 
 
+def _activate(nodes: Nodes, kind: options.Activation, x: str) -> str:
+    if kind == "silu":
+        return nodes.add("Mul", x, nodes.add("Sigmoid", x))
+    return nodes.add(kind.capitalize(), x)
+
+
 def add_critic(nodes: Nodes, name: str, form: Form, obs: str, action: str) -> str:
-    """Append a critic of ``[B, D]`` and ``[B, K, A]``; returns its means, ``[B, K, 1]``.
+    """Append a critic of ``[B, D]`` and ``[B, K, A]``; returns its outputs, ``[B, K, out]``.
 
     The observation's part of the first layer is computed once for all K.
     """
@@ -69,5 +76,4 @@ def add_critic(nodes: Nodes, name: str, form: Form, obs: str, action: str) -> st
     shared = nodes.add("Gemm", shared, f"{name}.obs", f"{name}.bias.{form.first.index}")
     x = nodes.add("MatMul", action, f"{name}.action")
     x = nodes.add("Add", x, nodes.add("Unsqueeze", shared, nodes.axis(1)))
-    x = add_network(nodes, name, form.layers[1:], x, rows=False)
-    return x if form.sizes[-1] == 1 else nodes.add("ReduceMean", x, nodes.axis(2), keepdims=1)
+    return add_network(nodes, name, form.layers[1:], x, rows=False)

@@ -114,6 +114,8 @@ def _log_density(nodes: Nodes, u: str, log_std: str, action_size: int) -> str:
 def _score(nodes: Nodes, kind: _Kind, seen: str, action: str) -> str:
     """Means of the critics ``[B, K]``, in returns."""
     found = [add_critic(nodes, f"q{m}", kind.critic, seen, action) for m in range(kind.critics)]
+    if kind.critic.sizes[-1] > 1:
+        found = [nodes.add("ReduceMean", x, nodes.axis(2), keepdims=1) for x in found]
     every = nodes.add("Mul", nodes.add("Concat", *found, axis=2), "return_size")
     return nodes.add("ReduceMean", every, nodes.axis(2), keepdims=0)
 

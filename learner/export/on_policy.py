@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from a2s.learner.export.graph import Nodes, common_numbers, fill, own_metadata
 from a2s.learner.export.network import add_critic, add_network, critic_numbers, network_numbers
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import HALF_LOG_2PI
-from a2s.learner.on_policy.acting import SPREAD_EPS, Suggester
+from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy.acting import Suggester
 
 
 class _Kind(NamedTuple):
@@ -19,6 +21,7 @@ class _Kind(NamedTuple):
 
     policy: Form
     critic: Form | None
+    critics: int
     suggestions: int
     mode: str
     clips: bool
@@ -34,6 +37,7 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
     kind = _Kind(
         policy=policy.network.form,
         critic=q_net.form if q_net else None,
+        critics=q_net.members if q_net else 0,
         suggestions=suggester.suggestions,
         mode=suggester.mode,
         clips=suggester.action_mode == "clip",
@@ -44,9 +48,10 @@ def export(suggester: Suggester, weights_version: int, metadata: Mapping[str, st
     numbers |= network_numbers("policy", policy.network)
     numbers |= {"std": policy.std().numpy(), "log_norm": np.array([log_norm], np.float32)}
     if q_net:
-        numbers |= critic_numbers("q", q_net, len(policy.log_std))
+        for member in range(q_net.members):
+            numbers |= critic_numbers(f"q{member}", q_net, len(policy.log_std), member)
         numbers["q_scale"] = np.array(suggester.q_scale, np.float32)
-        numbers["temperature"] = np.array(suggester.temperature, np.float32)
+        numbers["inverse_temperature"] = np.array(suggester.inverse_temperature, np.float32)
     own = own_metadata(suggester, kind.policy.sizes[0], weights_version)
     return fill(_template(kind), numbers, {**metadata, **own})
 
@@ -66,8 +71,8 @@ def _template(kind: _Kind) -> Any:
         action = nodes.add("Add", spread, nodes.add("Unsqueeze", mean, nodes.axis(1)))
         if kind.clips:
             action = nodes.add("Clip", action, nodes.constant(-1.0), nodes.constant(1.0))
-        score = add_critic(nodes, "q", kind.critic, seen, action)
-        index, preference = _select(nodes, nodes.add("Squeeze", score, nodes.axis(2)), kind)
+        score = _score(nodes, kind.critic, kind.critics, seen, action)
+        index, preference = _select(nodes, score, kind)
         noise = nodes.add("GatherND", "normal", index, batch_dims=1)
     nodes.add("Add", mean, nodes.add("Mul", noise, "std"), to="suggestion")
     square = nodes.add("ReduceSum", nodes.add("Mul", noise, noise), nodes.axis(1), keepdims=0)
@@ -81,6 +86,16 @@ def _template(kind: _Kind) -> Any:
     return nodes.template(sizes[0], kind.suggestions, sizes[-1], gumbel=gumbel)
 
 
+def _score(nodes: Nodes, critic: Form, critics: int, seen: str, action: str) -> str:
+    """The score of each suggestion, ``[B, K]``, as `a2s.learner.on_policy.acting.q_scores`."""
+    outputs = [add_critic(nodes, f"q{m}", critic, seen, action) for m in range(critics)]
+    if critic.sizes[-1] > 1:
+        values = nodes.column(categorical.centres(torch.zeros(())).tolist())
+        outputs = [nodes.add("MatMul", nodes.add("Softmax", x, axis=-1), values) for x in outputs]
+    total = nodes.add("Mean", *outputs) if critics > 1 else outputs[0]
+    return nodes.add("Squeeze", total, nodes.axis(2))
+
+
 def _select(nodes: Nodes, score: str, kind: _Kind) -> tuple[str, str]:
     """Write ``q_spread``; returns the index of the chosen suggestion, ``[B, 1]``.
 
@@ -91,9 +106,7 @@ def _select(nodes: Nodes, score: str, kind: _Kind) -> tuple[str, str]:
     add("Mul", largest, "q_scale", to="q_spread")
     if kind.mode == "hard":
         return add("ArgMax", score, axis=1, keepdims=1), ""
-    variance = add("ReduceMean", add("Mul", centred, centred), axis, keepdims=1)
-    spread = add("Mul", add("Sqrt", variance), "temperature")
-    logit = add("Div", centred, add("Add", spread, nodes.constant(SPREAD_EPS)))
+    logit = add("Mul", centred, "inverse_temperature")
     index = add("ArgMax", add("Add", logit, "gumbel"), axis=1, keepdims=1)
     chosen = add("Squeeze", add("GatherElements", logit, index, axis=1), axis)
     chance = add("Sub", chosen, add("ReduceLogSumExp", logit, axis, keepdims=0))

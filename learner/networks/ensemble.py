@@ -108,6 +108,10 @@ class Ensemble:
         """Evaluate several actions for every observation, see `score_many`."""
         return score_many(self.form, self.weights, obs, action)
 
+    def outputs(self, obs: Tensor, action: Tensor) -> Tensor:
+        """Outputs for several actions of every observation, see `many_outputs`."""
+        return many_outputs(self.form, self.weights, obs, action)
+
     def _run(self, x: Tensor, below: list[Any] | None, above: list[Any] | None) -> Tensor:
         form = self.form
         if not self.single:
@@ -119,6 +123,12 @@ class Ensemble:
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
+    """Means of `many_outputs`, ``[E, B, K]``."""
+    out = many_outputs(form, weights, obs, action)
+    return out.squeeze(-1) if out.shape[-1] == 1 else out.mean(-1)
+
+
+def many_outputs(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
     """Evaluate several actions for every observation; the observation's part is computed once.
 
     The input of ``form`` is observation and action joined. Observations are ``[B, D]``, actions
@@ -126,7 +136,7 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     neither has anything else then.
 
     Returns:
-        Means of the outputs, ``[E, B, K]``.
+        ``[E, B, K, out]``.
     """
     *members, rows, count, _ = action.shape
     weight = weights.weight[form.first.index]
@@ -139,5 +149,4 @@ def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Ten
     both = acted.view(*members, rows, count, -1)
     both += shared.unsqueeze(-2)
     out = run(form.layers[1:], weights, both.flatten(-3, -2))
-    out = out.view(*members, rows, count, -1).to(obs.dtype)
-    return out.squeeze(-1) if out.shape[-1] == 1 else out.mean(-1)
+    return out.view(*members, rows, count, -1).to(obs.dtype)

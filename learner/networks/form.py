@@ -128,22 +128,26 @@ class Form:
         self.linears.append((rows, columns))
         return Linear(len(self.linears) - 1, adds_bias=adds_bias)
 
-    def _norm(self, width: int, *, relu: bool = False, bias: int | None = None) -> list[Layer]:
+    def _norm(
+        self, width: int, *, activation: Function | None = None, bias: int | None = None
+    ) -> list[Layer]:
         if not self.layer_norm:
             return []
-        compiled = self.activation == "relu"
-        norm = Norm(len(self.norms), bias=bias, relu=relu, compiled=compiled)
+        compiled = self.activation != "tanh"
+        norm = Norm(len(self.norms), bias=bias, activation=activation, compiled=compiled)
         self.norms.append(norm)
         self._norm_widths.append(width)
         return [norm]
 
     def _chain(self, rows: int, widths: list[int]) -> tuple[list[Layer], int]:
         """Linear, normalisation and activation for each width; also returns the last width."""
-        fused = self.layer_norm and self.activation == "relu"
+        fused = self.layer_norm and self.activation != "tanh"
+        above = self.activation if fused else None
         layers: list[Layer] = []
         for width in widths:
             linear = self._linear(rows, width, adds_bias=not fused)
-            layers += [linear, *self._norm(width, relu=fused, bias=linear.index if fused else None)]
+            bias = linear.index if fused else None
+            layers += [linear, *self._norm(width, activation=above, bias=bias)]
             layers += [] if fused else [Activation(self.activation)]
             rows = width
         return layers, rows

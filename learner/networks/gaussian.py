@@ -34,7 +34,7 @@ class Policy:
     """A Gaussian: the mean is a network's, the standard deviation the same everywhere.
 
     ``sizes``, ``layer_norm`` and ``init`` are those of the network, see `Form`. A learned deviation
-    starts from ``std`` and does not fall below ``std_floor``, unless that is 0.
+    starts from ``std``.
 
     Attributes:
         value: All parameters, float32 ``[P]``; writing to it writes to the policy.
@@ -51,7 +51,6 @@ class Policy:
         layer_norm: bool,
         init: Init,
         std: float,
-        std_floor: float,
         learns_std: bool,
         generator: torch.Generator,
     ) -> None:
@@ -65,7 +64,6 @@ class Policy:
         if learns_std:
             self.log_std = self.value[:start]
         self.network = Ensemble(form, self.value[start:], self.grad[start:], single=True)
-        self._log_floor = math.log(std_floor) if std_floor > 0 else -math.inf
 
     def __call__(self, obs: Tensor) -> Tensor:
         """Mean action, canonical, of normalised observations: ``[N, D]`` to ``[N, A]``."""
@@ -89,7 +87,7 @@ class Policy:
         """Standard deviation, ``[A]``."""
         return self.log_std.exp()
 
-    def hold_floor(self) -> None:
-        """Lift the standard deviation to its floor, so that its gradient lives on there."""
-        if self.learns_std:
-            self.log_std.clamp_(min=self._log_floor)
+    def hold_floor(self, std_floor: float) -> None:
+        """Lift a learned standard deviation to a floor, so that its gradient lives on there."""
+        if self.learns_std and std_floor > 0:
+            self.log_std.clamp_(min=math.log(std_floor))

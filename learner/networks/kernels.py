@@ -112,7 +112,7 @@ def _write(x: Array, e: int, n: int, j: int, value: Any) -> None:
 @overload(_read, inline="always")  # type: ignore[untyped-decorator]
 def _reader(x: Any, e: Any, n: Any, j: Any) -> Any:
     def bfloat16(x: Any, e: Any, n: Any, j: Any) -> Any:
-        return _as_float(_U(x[e, n, j]) << _U(16))  # it is the upper half of a float32
+        return as_float(_U(x[e, n, j]) << _U(16))  # it is the upper half of a float32
 
     def float32(x: Any, e: Any, n: Any, j: Any) -> Any:
         return x[e, n, j]
@@ -133,7 +133,7 @@ def _writer(x: Any, e: Any, n: Any, j: Any, value: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def _as_float(_: Any, __: Any) -> Any:
+def as_float(_: Any, __: Any) -> Any:
     """Read 32 bits as a number."""
     return types.float32(types.uint32), _same_bits
 

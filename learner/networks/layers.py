@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import torch
+import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 from a2s.learner.networks import options
@@ -82,13 +83,18 @@ class Linear:
 
 
 class Activation:
-    """``max(x, 0)`` or ``tanh(x)``, in the memory of the layer below."""
+    """``max(x, 0)``, ``x / (1 + exp(-x))`` or ``tanh(x)``, in the memory of the layer below."""
 
     def __init__(self, kind: options.Activation) -> None:
         self.kind = kind
 
     def forward(self, _: Weights, x: Tensor, tape: list[Any] | None) -> Tensor:
         """Apply it to every number."""
+        if self.kind == "silu":
+            if tape is not None:
+                tape.append(x)
+                return F.silu(x)
+            return F.silu(x, inplace=True)
         out = x.relu_() if self.kind == "relu" else x.tanh_()
         if tape is not None:
             tape.append(out)
@@ -98,6 +104,8 @@ class Activation:
         """Multiply by the slope."""
         if self.kind == "relu":
             through: Tensor = _aten.threshold_backward(grad, kept, 0)
+        elif self.kind == "silu":
+            through = _aten.silu_backward(grad, kept)
         else:
             through = _aten.tanh_backward(grad, kept)
         return through

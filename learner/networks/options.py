@@ -2,6 +2,6 @@
 
 from typing import Literal
 
-Activation = Literal["relu", "tanh"]
+Activation = Literal["relu", "silu", "tanh"]
 Init = Literal["fan-in", "uniform", "orthogonal"]
 Network = Literal["mlp", "residual", "trunk"]

@@ -13,13 +13,13 @@ from a2s.learner.networks.acting import ActionBounds, Choice
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy, log_density
 from a2s.learner.networks.normaliser import Normaliser
+from a2s.learner.on_policy import categorical
 from a2s.protocol.errors import A2SError
 
 ActionMode = Literal["clip", "raw"]
 SuggesterMode = Literal["first", "hard", "soft"]
 
-SPREAD_EPS = 1e-6
-_MIN_INVERSE_TEMPERATURE = 1e-3
+_ROWS_PER_CALL = 1024
 
 
 class Suggester:
@@ -35,9 +35,9 @@ class Suggester:
 
     The modes are ``first``: the only suggestion, ``q_net`` ``None`` and K 1 (A2C, or Q is not
     trained yet: the argmax of an untrained Q is one arbitrary direction everywhere); ``hard``;
-    ``soft``, with ``temperature``. ``action_mode`` decides whether Q sees suggestions clipped to
-    the bounds, ``[A]``, or raw: the environment gets the same action either way. ``q_scale`` is the
-    returns in one unit of Q's output.
+    ``soft``, with ``inverse_temperature`` per unit of Q's output. ``action_mode`` decides whether
+    Q sees suggestions clipped to the bounds, ``[A]``, or raw: the environment gets the same action
+    either way. ``q_scale`` is the returns in one unit of Q's output.
 
     Raises:
         ValueError: Mode, Q and K contradict each other.
@@ -53,7 +53,7 @@ class Suggester:
         action_high: Tensor,
         mode: SuggesterMode,
         suggestions: int,
-        temperature: float = 1.0,
+        inverse_temperature: float = 1.0,
         action_mode: ActionMode = "clip",
         q_scale: float = 1.0,
     ) -> None:
@@ -64,7 +64,7 @@ class Suggester:
         self.q_net = q_net
         self.mode: SuggesterMode = mode
         self.suggestions = suggestions
-        self.temperature = temperature
+        self.inverse_temperature = inverse_temperature
         self.action_mode: ActionMode = action_mode
         self.q_scale = q_scale
         self.bounds = ActionBounds(action_low, action_high)
@@ -82,13 +82,13 @@ class Suggester:
         index = torch.zeros(len(obs), dtype=torch.int64)
         preference = q_spread = torch.zeros(len(obs))
         if self.q_net is not None:
-            q_value = self.q_net.score(norm_obs, as_q_sees(candidates, self.action_mode))
+            q_value = q_scores(self.q_net, norm_obs, as_q_sees(candidates, self.action_mode))
             q_spread = self.q_scale * (q_value.amax(1) - q_value.mean(1))
             if self.mode == "hard" or gumbel is None:
                 index = select_hard(q_value)
             else:
-                index = select_soft(q_value, gumbel, self.temperature)
-                preference = log_preference(q_value, index, self.temperature)
+                index = select_soft(q_value, gumbel, self.inverse_temperature)
+                preference = log_preference(q_value, index, self.inverse_temperature)
         suggestion, noise = take(candidates, index), take(normal, index)
         log_prob = log_density(noise, self.policy.log_std) + preference
         return Choice(self.bounds.to_env(suggestion), suggestion, log_prob, q_spread)
@@ -117,34 +117,28 @@ def select_hard(q_value: Tensor) -> Tensor:
     return q_value.argmax(1)
 
 
-def select_soft(q_value: Tensor, gumbel: Tensor, temperature: float) -> Tensor:
-    """Draw a suggestion by the softmax of Q in units of its own spread.
+def select_soft(q_value: Tensor, gumbel: Tensor, inverse_temperature: float) -> Tensor:
+    """Draw a suggestion by ``softmax(inverse_temperature * q)``.
 
-    ``argmax(z + gumbel)`` is a draw from ``softmax(z)``, with
-    ``z = (q - mean q) / (std of q over K * temperature)``: scores and standard Gumbel noise
+    ``argmax(z + gumbel)`` is a draw from ``softmax(z)``: scores and standard Gumbel noise
     ``[B, K]`` to int64 ``[B]``. Noise of 0 gives the suggestion of largest Q.
 
     Raises:
         A2SError: A score is not finite.
     """
     _require_finite(q_value)
-    return (_in_spreads(q_value, temperature) + gumbel).argmax(1)
+    return (_preferences(q_value, inverse_temperature) + gumbel).argmax(1)
 
 
-def log_preference(q_value: Tensor, index: Tensor, temperature: float) -> Tensor:
+def log_preference(q_value: Tensor, index: Tensor, inverse_temperature: float) -> Tensor:
     """How much likelier than a draw from the policy the soft selection made its choice, in logs.
 
     ``log(K p)``, p the chance of the chosen one given the K. An average over executed suggestions,
     each weighed by ``1 / (K p)``, is one over the policy: K drawn alike, each counted once.
     Scores ``[B, K]`` and chosen indices ``[B]`` to ``[B]``; 0 where K is 1 or all scores are equal.
     """
-    chance = _in_spreads(q_value, temperature).log_softmax(1)
+    chance = _preferences(q_value, inverse_temperature).log_softmax(1)
     return chance.gather(1, index.unsqueeze(1)).squeeze(1) + math.log(q_value.shape[1])
-
-
-def inverse_temperature(progress: float) -> float:
-    """Of annealed soft selection, 1 at first: the fraction of the run that is left, but never 0."""
-    return max(1.0 - progress, _MIN_INVERSE_TEMPERATURE)
 
 
 def take(candidate: Tensor, index: Tensor) -> Tensor:
@@ -152,10 +146,22 @@ def take(candidate: Tensor, index: Tensor) -> Tensor:
     return candidate[torch.arange(len(index), device=index.device), index]
 
 
-def _in_spreads(q_value: Tensor, temperature: float) -> Tensor:
-    centred = q_value - q_value.mean(1, keepdim=True)
-    spread = centred.square().mean(1, keepdim=True).sqrt()
-    return centred / (spread * temperature + SPREAD_EPS)
+def q_scores(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
+    """Scores of actions ``[B, K, A]``, ``[B, K]``: of one Q, or of several categorical ones."""
+    if q_net.single:
+        return q_net.score(norm_obs, action)
+    return categorical.score(q_net, norm_obs, action)
+
+
+def score_in_parts(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
+    """As `q_scores`, a cacheful at a time."""
+    parts = math.ceil(action.shape[0] * action.shape[1] / _ROWS_PER_CALL)
+    pairs = zip(norm_obs.chunk(parts), action.chunk(parts), strict=True)
+    return torch.cat([q_scores(q_net, *pair) for pair in pairs])
+
+
+def _preferences(q_value: Tensor, inverse_temperature: float) -> Tensor:
+    return inverse_temperature * (q_value - q_value.mean(1, keepdim=True))
 
 
 def _require_finite(q_value: Tensor) -> None:

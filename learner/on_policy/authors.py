@@ -60,11 +60,8 @@ class Authors(TrainState):
         """Whole episodes."""
         return BatchSize(self.config.batch_steps, self.config.min_episodes)
 
-    def suggester(
-        self, action_low: Tensor, action_high: Tensor, progress: float = 0.0
-    ) -> Suggester:
+    def suggester(self, action_low: Tensor, action_high: Tensor) -> Suggester:
         """K suggestions, of which the one of largest Q is executed, from the first step on."""
-        del progress
         picks = self.config.suggestions > 1
         return Suggester(
             normaliser=self.normaliser,
@@ -97,7 +94,7 @@ class Authors(TrainState):
             time_limit_is_terminal=True,
         )
         rate.adapt()
-        fits, distilled, change = Fits(), Distilled(), PolicyChange()
+        fits, change = Fits(), PolicyChange()
         recovers = decision is not None and decision.recover
         if recovers:
             rate.kl_target /= RECOVERY_KL_DIVISOR
@@ -116,9 +113,10 @@ class Authors(TrainState):
                 rate.at(0.0),
             )
             rate.last_kl = change.kl
+            change = change._replace(**distilled._asdict())
         self.end_update()
         return update_stats(
-            batch, self, targets, fits, distilled, change, decision, rate.at(0.0), rate.at(0.0)
+            batch, self, targets, fits, None, change, decision, *3 * (rate.at(0.0),)
         )
 
     def _fit(self, batch: Batch, target: Tensor) -> Fits:

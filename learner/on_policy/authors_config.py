@@ -3,10 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
-from a2s.learner.on_policy.config import Distil, Init, ReturnStatistic
+from a2s.learner.on_policy.config import Init, ReturnStatistic
 from a2s.learner.settings import Settings, setting
 
 Advantage = Literal["return-v", "q-v"]
+
+
+Distil = Literal["off", "separate"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,12 +6,10 @@ from typing import ClassVar, Literal
 
 from a2s.learner.settings import Settings, check_most, setting
 
-Distil = Literal["off", "separate"]
 Init = Literal["uniform", "orthogonal"]
 LearningRateRule = Literal["constant", "anneal", "kl"]
 RecoveryRule = Literal["off", "authors", "invariant"]
 ReturnStatistic = Literal["mean", "max"]
-Selection = Literal["hard", "soft"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,18 +29,12 @@ class OnPolicyConfig(Settings):
     suggestions: int = setting(
         10, "K, suggestions for every observation; 1 is A2C", "paper, table 3", low=1, high=1024
     )
-    selection: Selection = setting(
-        "soft",
-        "``hard``: the suggestion of largest Q; ``soft``: drawn by softmax of Q over its spread",
-        "probe on Hopper: a hard argmax leaves the mean behind",
-    )
-    selection_temperature: float = setting(
-        3.0, "Of soft selection, in deviations of Q over the K", "adr/0006", low=1e-6, high=1e6
-    )
-    anneal_selection: bool = setting(
-        True,
-        "Soft selection becomes indifferent towards the end: temperature / (1 - progress)",
-        "measured on HalfCheetah: else the mean action is left behind",
+    act_least_share: float = setting(
+        0.97,
+        "Actors choose softly: so much of the K counts, at least; 1: any of them",
+        "measured: at .9 the mean action is left behind",
+        low=1e-6,
+        high=1,
     )
     batch_steps: int = setting(2048, "Steps in one batch, at least", "PPO paper, table 3", low=1)
     first_batch_steps: int = setting(
@@ -69,14 +61,16 @@ class OnPolicyConfig(Settings):
         True, "Observations have running mean 0 and deviation 1", "Andrychowicz et al. 2021"
     )
     norm_return: bool = setting(
-        True, "Targets of Q and V have running mean 0, deviation 1", "Andrychowicz et al. 2021"
+        True,
+        "Targets of V have running mean 0, deviation 1; Q's are in that unit",
+        "Andrychowicz et al. 2021",
     )
     return_window_steps: int = setting(
         20480, "Steps that the statistics of targets remember, about", "ten batches", low=1
     )
     policy_sizes: tuple[int, ...] = setting((64, 64), "Policy: hidden units", "paper, section 5")
     value_sizes: tuple[int, ...] = setting((64, 64), "V: hidden units", "paper, section 5")
-    q_sizes: tuple[int, ...] = setting((128, 64), "Q: hidden units", "paper, section 5")
+    q_sizes: tuple[int, ...] = setting((128, 128), "Q: hidden units, of both critics", "measured")
     layer_norm: bool = setting(
         True, "Hidden layers are normalised before the non-linearity", "authors' code"
     )
@@ -88,16 +82,23 @@ class OnPolicyConfig(Settings):
         high=1e6,
     )
     std_floor: float = setting(
-        0.15, "Least standard deviation", "selection shrinks a learned std", low=0e0, high=1e6
+        0.3,
+        "Least standard deviation, at first",
+        "measured",
+        low=0e0,
+        high=1e6,
     )
-    critic_epochs: int = setting(10, "Passes over the batch: Q and V", "PPO paper, table 3", low=1)
+    last_std_floor: float = setting(
+        0.1, "What it falls to over the run, linearly", "measured", low=0e0, high=1e6
+    )
+    critic_epochs: int = setting(10, "Passes over the batch: V", "PPO paper, table 3", low=1)
     min_minibatches: int = setting(
         8,
-        "Least number of minibatches in a pass over a small batch, of Q and V and of the policy",
+        "Least number of minibatches in a pass over a small batch, of V and of the policy",
         "measured: InvertedPendulum solved in 4,400 steps, not 8,500",
         low=1,
     )
-    critic_minibatch: int = setting(256, "Steps in a minibatch: Q and V", "as the policy", low=1)
+    critic_minibatch: int = setting(256, "Steps in a minibatch: V", "as the policy", low=1)
     norm_advantage: bool = setting(
         True, "Advantages of a batch have mean 0 and standard deviation 1", "common practice"
     )
@@ -128,18 +129,36 @@ class OnPolicyConfig(Settings):
         "bounds the whole update",
         low=0e0,
     )
-    distil: Distil = setting(
-        "off",
-        "Equation 6: ``off``, or ``separate`` steps before the policy gradient",
-        "measured: it follows the noise of Q, adr/0006",
+    pull: float = setting(
+        1.0,
+        "Equation 6: how much the suggestions pull, beside the policy gradient; 0: not at all",
+        "measured; docs/adr/0021",
+        low=0e0,
+        high=1e6,
     )
-    distil_suggestions: int = setting(
-        10, "Fresh suggestions per observation for equation 6", low=1, high=1024
+    pull_temperature: float = setting(
+        0.1,
+        "Of the softmax over the K, in deviations of the advantage that Q was seen to be right of",
+        "measured; docs/adr/0021",
+        low=1e-6,
+        high=1e6,
     )
-    distil_steps: int = setting(50, "Gradient steps of equation 6", low=1)
-    distil_minibatch: int = setting(128, "Steps in a minibatch: equation 6", low=1)
-    distil_kl: float = setting(
-        0.02, "Equation 6 ends when a minibatch has moved by this KL, joint, nats", low=0e0
+    pull_least_share: float = setting(
+        0.9,
+        "The temperature is raised until so much of the K counts, mean over states",
+        "measured; docs/adr/0021",
+        low=1e-6,
+        high=1,
+    )
+    window_steps: int = setting(
+        32768, "Q learns from the latest batches: as few as hold so many steps", "measured", low=1
+    )
+    q_steps: int = setting(
+        200, "Gradient steps of Q in an update of a full batch", "measured", low=1
+    )
+    q_minibatch: int = setting(256, "Steps in a minibatch: Q", "as the policy", low=1)
+    retrace_lambda: float = setting(
+        0.95, "Of Q's targets, by Retrace", "as gae_lambda", low=0e0, high=1
     )
     recovery: RecoveryRule = setting(
         "invariant",
@@ -162,11 +181,12 @@ class OnPolicyConfig(Settings):
         2.0, "A recovery divides the learning rate by this", "ours, to be tuned", low=1, high=1e6
     )
     learning_rate: float = setting(
-        0.0005, "Of the policy, at first", "1e-3 measured no better", low=1e-12, high=1000
+        0.0003, "Of the policy, at first", "5e-4 measured worse on Hopper", low=1e-12, high=1000
     )
     critic_learning_rate: float = setting(
-        0.0005, "Of Q and V, at first", "as the policy", low=1e-12, high=1000
+        0.001, "Of V, at first", "5e-4 measured worse on Hopper", low=1e-12, high=1000
     )
+    q_learning_rate: float = setting(0.0006, "Of Q, at first", "measured", low=1e-12, high=1000)
     lr_rule: LearningRateRule = setting(
         "anneal",
         "``constant``, ``anneal`` to 0 over the run, or ``kl``: by the last KL, 1/50 to 6 times",
@@ -184,15 +204,20 @@ class OnPolicyConfig(Settings):
         Settings.__post_init__(self)
         check_most("first_batch_steps", self.first_batch_steps, "batch_steps", self.batch_steps)
         check_most("std_floor", self.std_floor, "std", self.std)
+        check_most("last_std_floor", self.last_std_floor, "std_floor", self.std_floor)
 
     @property
     def uses_q(self) -> bool:
         """Whether anything reads Q; otherwise it is not fitted."""
-        return self.suggestions > 1 or self.distil != "off"
+        return self.suggestions > 1
 
     def as_a2c(self) -> "OnPolicyConfig":
-        """The A2C of this: one suggestion, no Q, neither equation 5 nor 6."""
-        return replace(self, suggestions=1, distil="off", recovery="off")
+        """The A2C of this: one suggestion, hence no Q and no equation 6, and no equation 5."""
+        return replace(self, suggestions=1, recovery="off")
+
+    def std_floor_at(self, progress: float) -> float:
+        """Least standard deviation when a fraction of the run, 0..1, is done."""
+        return self.std_floor + (self.last_std_floor - self.std_floor) * progress
 
     def batch_steps_at(self, update: int) -> int:
         """Steps wanted in the batch of update 0, 1, 2...: growing, then ``batch_steps``."""

@@ -1,4 +1,4 @@
-"""Fitting Q and V to the targets of a batch.
+"""Fitting V to the targets of a batch, and Q to those of the window.
 
 Source: section 4.1.1 of the paper, "we take multiple gradient steps for value network and Q
 network".
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.on_policy import categorical
 
 
 class Fits(NamedTuple):
@@ -50,9 +51,8 @@ def num_minibatches(rows: int, minibatch: int, at_least: int) -> int:
     return max(min(at_least, rows), round(rows / minibatch)) if minibatch else 1
 
 
-def fit_critics(
+def fit_value(
     value: Regression,
-    q: Regression | None,
     target: Tensor,
     *,
     epochs: int,
@@ -62,26 +62,48 @@ def fit_critics(
     max_grad_norm: float,
     generator: torch.Generator,
 ) -> Fits:
-    """Fit V, and Q where something reads it, in passes over the same minibatches.
+    """Fit V in passes over shuffled minibatches.
 
-    V learns the same to the bit whether or not Q is fitted beside it. The target of both is
-    normalised, ``[N]``; ``max_grad_norm`` is of each, 0: not limited; losses are of the last pass.
+    The target is normalised, ``[N]``; ``max_grad_norm`` 0: not limited; the loss is of the last
+    pass.
     """
-    jobs = [value] if q is None else [value, q]
     count = num_minibatches(len(target), minibatch, min_minibatches)
-    totals = torch.zeros(len(jobs))
+    total = torch.zeros(())
     for _ in range(epochs):
         order = torch.randperm(len(target), generator=generator)
-        targets = target[order].tensor_split(count)
-        inputs = [job.inputs[order].tensor_split(count) for job in jobs]
-        totals.zero_()
-        for index, wanted in enumerate(targets):
-            for number, job in enumerate(jobs):
-                totals[number] += job.step(
-                    inputs[number][index], wanted, learning_rate, max_grad_norm
-                )
-    value_loss, *q_loss = (totals / count).tolist()
-    steps = epochs * count
-    if q is None:
-        return Fits(value_loss=value_loss, value_fit_steps=steps)
-    return Fits(q_loss[0], value_loss, steps, steps)
+        pairs = zip(
+            value.inputs[order].tensor_split(count), target[order].tensor_split(count), strict=True
+        )
+        total.zero_()
+        for inputs, wanted in pairs:
+            total += value.step(inputs, wanted, learning_rate, max_grad_norm)
+    return Fits(value_loss=float(total / count), value_fit_steps=epochs * count)
+
+
+@torch.no_grad()
+def fit_q(
+    q_net: Ensemble,
+    optimiser: Adam,
+    inputs: Tensor,
+    target: Tensor,
+    *,
+    steps: int,
+    minibatch: int,
+    learning_rate: float,
+    generator: torch.Generator,
+) -> float:
+    """Fit categorical Q to targets in its own unit, ``[N, in]`` and ``[N]``, rows drawn anew.
+
+    Returns:
+        Mean cross-entropy of a member, nats.
+    """
+    chance = categorical.spread(target)
+    total = torch.zeros(())
+    for _ in range(steps):
+        rows = torch.randint(len(target), (minibatch,), generator=generator)
+        logits, tape = q_net.trace(inputs[rows])
+        loss, slope = categorical.loss_and_slope(logits, chance[rows])
+        q_net.differentiate(tape, slope)
+        optimiser.step(q_net.grad, learning_rate)
+        total += loss
+    return float(total) / steps / q_net.members

@@ -3,7 +3,6 @@
 It is one step of a cross-entropy method, so it has a bound of its own on the KL divergence.
 """
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -12,10 +11,8 @@ from torch import Tensor
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy
-from a2s.learner.on_policy.acting import ActionMode, as_q_sees, suggest, take
+from a2s.learner.on_policy.acting import ActionMode, as_q_sees, score_in_parts, suggest, take
 from a2s.learner.on_policy.policy import gaussian_kl
-
-ROWS_PER_CALL = 1024
 
 
 class Distilled(NamedTuple):
@@ -23,13 +20,6 @@ class Distilled(NamedTuple):
 
     distil_loss: float = 0.0
     distil_steps: int = 0
-
-
-def score_in_parts(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
-    """Score as `Ensemble.score`, ``[N, D]``, ``[N, K, A]`` to ``[N, K]``, a cacheful at a time."""
-    parts = math.ceil(action.shape[0] * action.shape[1] / ROWS_PER_CALL)
-    pairs = zip(norm_obs.chunk(parts), action.chunk(parts), strict=True)
-    return torch.cat([q_net.score(*pair) for pair in pairs])
 
 
 @torch.no_grad()

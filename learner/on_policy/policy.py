@@ -17,6 +17,9 @@ from a2s.learner.on_policy.returns import RESOLUTION
 
 # Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
 MIN_WEIGHT, MAX_LOG_RATIO = 1e-30, 20.0
+_BY_ROW = (
+    "obs", "action", "log_prob", "advantage", "weight", "mean", "wanted"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,6 +33,7 @@ class PolicyData:
     weight: Tensor  # importance of each for an average over that policy, [N]
     mean: Tensor  # of that policy, [N, A]
     log_std: Tensor  # of that policy, [A]
+    wanted: Tensor | None = None  # what suggestions want the mean to be, [N, A]; None: no pull
 
 
 class PolicyChange(NamedTuple):
@@ -39,6 +43,8 @@ class PolicyChange(NamedTuple):
     policy_epochs: int = 0
     kl: float = 0.0  # from the policy before, nats
     advantage_std: float = 0.0  # in returns, before the advantages are normalised
+    distil_loss: float = 0.0  # of equation 6, as policy_loss
+    distil_steps: int = 0
 
 
 def entropy(log_std: Tensor) -> Tensor:
@@ -116,6 +122,8 @@ def improve(
     kl_stop: float,
     clip_ratio: float,
     entropy_weight: float,
+    pull: float,
+    std_floor: float,
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
@@ -126,7 +134,7 @@ def improve(
     the whole batch, in its order; ``max_grad_norm`` 0: not limited.
     """
     count = num_minibatches(len(data.obs), minibatch, min_minibatches)
-    total, kl, passes = torch.zeros(()), 0.0, 0
+    total, kl, passes = torch.zeros(2), 0.0, 0
     while passes < epochs and kl <= kl_stop:
         passes += 1
         total.zero_()
@@ -135,14 +143,21 @@ def improve(
             loss, grad_mean, grad_log_std = differentiate(
                 mean, policy.log_std, part, clip_ratio, entropy_weight
             )
+            if part.wanted is not None and pull > 0:
+                apart = pull_loss(mean, policy.log_std, part.wanted, part.log_std)
+                grad_mean += pull * apart.by_mean
+                grad_log_std += pull * apart.by_log_std
+                total[1] += apart.loss
             policy.differentiate(tape, grad_mean, grad_log_std)
             optimiser.step(policy.grad, learning_rate, max_grad_norm)
-            policy.hold_floor()
-            total += loss
+            policy.hold_floor(std_floor)
+            total[0] += loss
         with torch.no_grad():
             moved = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
             kl = float(moved.sum(1).mean())
-    return PolicyChange(float(total / count), passes, kl)
+    policy_loss, distil_loss = (total / count).tolist()
+    steps = passes * count if data.wanted is not None else 0
+    return PolicyChange(policy_loss, passes, kl, distil_loss=distil_loss, distil_steps=steps)
 
 
 @torch.no_grad()
@@ -164,13 +179,34 @@ def differentiate(
     return loss, steep * z * factor, grad_log_std
 
 
+class PullLoss(NamedTuple):
+    """The loss of equation 6, and its gradient."""
+
+    loss: Tensor  # a scalar
+    by_mean: Tensor  # [M, A]
+    by_log_std: Tensor  # [A]
+
+
+@torch.no_grad()
+def pull_loss(mean: Tensor, log_std: Tensor, wanted: Tensor, old_log_std: Tensor) -> PullLoss:
+    """KL(wanted || policy) in nats, mean over states: means ``[M, A]``, log deviations ``[A]``.
+
+    What is wanted has the deviation of the policy before: equation 6 is about the mean.
+    """
+    precision = (-2.0 * log_std).exp()
+    apart = mean - wanted
+    normal = precision * ((2.0 * old_log_std).exp() + apart.square())
+    loss = (0.5 * (normal - 1.0) + log_std - old_log_std).sum(1).mean()
+    return PullLoss(loss, precision * apart / len(mean), (1.0 - normal).mean(0))
+
+
 def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> Iterator[PolicyData]:
     """One pass over the data in a new order; the data itself where it is one step."""
     if count == 1:
         yield data
         return
     order = torch.randperm(len(data.obs), generator=generator)
-    names = ("obs", "action", "log_prob", "advantage", "weight", "mean")
+    names = [name for name in _BY_ROW if getattr(data, name) is not None]
     parts = [getattr(data, name)[order].tensor_split(count) for name in names]
     for part in zip(*parts, strict=True):
         yield replace(data, **dict(zip(names, part, strict=True)))

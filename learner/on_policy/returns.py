@@ -65,6 +65,34 @@ def lambda_estimates(
     return Estimates(advantage, advantage + value)
 
 
+def retrace(
+    batch: Batch,
+    q_value: Tensor,
+    value: Tensor,
+    after: Tensor,
+    ratio: Tensor,
+    *,
+    gamma: float,
+    lam: float,
+) -> Tensor:
+    """Targets of Q under a policy that did not play all of the batch, ``[N]``.
+
+    ``q_value`` is Q of the executed actions and ``value`` its mean over the policy's, ``[N]``;
+    ``after`` is from `bootstrap`, ``ratio`` the policy's density over the executed one, ``[N]``.
+
+    Source: Munos et al. 2016, "Safe and efficient off-policy reinforcement learning", equation 3
+    and table 1 (``lam * min(1, ratio)``).
+    """
+    last = batch.last
+    keep = gamma * lam * ratio.clamp(max=1.0)
+    decay = torch.cat([keep[1:], keep.new_zeros(1)])
+    decay[last] = 0.0
+    following = torch.cat([value[1:], value.new_zeros(1)])
+    following[last] = after
+    next_q = torch.cat([q_value[1:], q_value.new_zeros(1)])
+    return decayed_sums(batch.reward + gamma * following - decay * next_q, decay)
+
+
 class ReturnScale:
     """Running mean and standard deviation of targets, the unit in which Q and V are trained.
 

@@ -11,12 +11,15 @@ from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import Policy
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.networks.stored import check_tensors
+from a2s.learner.on_policy import categorical
 from a2s.learner.on_policy.batch import Batch
+from a2s.learner.on_policy.calibration import Calibration
 from a2s.learner.on_policy.critics import Regression
 from a2s.learner.on_policy.learning_rate import LearningRate
 from a2s.learner.on_policy.presets import AnyOnPolicyConfig
 from a2s.learner.on_policy.recovery import Recovery, RecoveryDecision
 from a2s.learner.on_policy.returns import ReturnScale
+from a2s.learner.on_policy.window import Kept, Window, is_of_window, stored_window, window_tensors
 from a2s.protocol.errors import A2SError
 
 _GENERATORS = ("networks", "order", "q", "recovery")
@@ -28,6 +31,9 @@ class Snapshot(NamedTuple):
 
     tensors: dict[str, Tensor]  # parameters, moments and statistics of observations, by name
     returns: dict[str, float]  # state of the scale of returns
+    calibration: dict[str, float]
+    act_inverse_temperature: float
+    window: Kept  # not copies: a batch does not change
     weights_version: int  # under which the networks made the batch
 
 
@@ -41,6 +47,9 @@ class TrainState:
         generators: ``networks`` for first weights, ``order`` for minibatches, ``q`` for what only Q
             needs (so that A2C draws the same), ``recovery`` for equation 5.
         best: The networks that reached r*.
+        calibration: What Q is worth; the presets ``authors`` and ``paper`` have none.
+        window: Batches that Q learns from; the same.
+        act_inverse_temperature: Of the actors' choice, per unit of Q's outputs.
         updates: Batches learned from.
         q_trusted: Q may choose. The argmax of an untrained Q is one arbitrary direction everywhere.
     """
@@ -53,6 +62,8 @@ class TrainState:
         learning_rate: LearningRate,
         recovery: Recovery,
         seed: int,
+        *,
+        window_steps: int = 0,
     ) -> None:
         root = torch.Generator().manual_seed(seed)
         seeds = torch.randint(2**62, (len(_GENERATORS),), generator=root).tolist()
@@ -67,7 +78,14 @@ class TrainState:
         )
         self.policy = make_policy(obs_size, action_size, config, first)
         self.value_net = make_critic(obs_size, config.value_sizes, config, first)
-        self.q_net = make_critic(obs_size + action_size, config.q_sizes, config, first)
+        inputs = obs_size + action_size
+        self.q_net = (
+            make_q(inputs, config.q_sizes, first)
+            if window_steps
+            else make_critic(inputs, config.q_sizes, config, first)
+        )
+        self.calibration = Calibration()
+        self.window = Window(window_steps)
         self._flat = {
             "policy": self.policy.value,
             "value": self.value_net.value,
@@ -81,6 +99,7 @@ class TrainState:
         self._before: Snapshot | None = None
         self.updates = 0
         self.q_trusted = False
+        self.act_inverse_temperature = 0.0
 
     def fit_of_value(self, norm_obs: Tensor) -> Regression:
         """V, to be fitted on observations ``[N, D]``."""
@@ -131,15 +150,16 @@ class TrainState:
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Everything that `load` needs to go on to the bit: tensors, and numbers for JSON."""
         present = self._capture()
-        tensors = dict(present.tensors)
+        windows = [present.window] + ([] if self.best is None else [self.best.window])
+        tensors = present.tensors | window_tensors(*windows)
         for name, generator in self.generators.items():
             tensors[f"generator.{name}"] = generator.get_state()
         best = None
         if self.best is not None:
             tensors |= {_BEST + name: tensor for name, tensor in self.best.tensors.items()}
-            best = {"returns": self.best.returns, "weights_version": self.best.weights_version}
+            best = _numbers(self.best)
         scalars = {
-            "returns": present.returns,
+            "present": _numbers(present),
             "best": best,
             "step_size": self.learning_rate.state(),
             "recovery": self.recovery.state(),
@@ -155,7 +175,8 @@ class TrainState:
             A2SError: A tensor is missing or has another shape.
         """
         expected, _ = self.state()
-        check_tensors(tensors, {k: v for k, v in expected.items() if not k.startswith(_BEST)})
+        fixed = {k: v for k, v in expected.items() if not k.startswith(_BEST)}
+        check_tensors(tensors, {k: v for k, v in fixed.items() if not is_of_window(k)})
         self.best = None
         if scalars["best"] is not None:
             stored = {
@@ -164,8 +185,8 @@ class TrainState:
                 if name.startswith(_BEST)
             }
             check_tensors(stored, self._capture().tensors)
-            self.best = Snapshot(stored, **scalars["best"])
-        self._restore(Snapshot(tensors, scalars["returns"], 0))
+            self.best = _snapshot(stored, tensors, scalars["best"])
+        self._restore(_snapshot(tensors, tensors, scalars["present"]))
         for name, generator in self.generators.items():
             generator.set_state(tensors[f"generator.{name}"])
         self.learning_rate.load(scalars["step_size"])
@@ -179,13 +200,23 @@ class TrainState:
             tensors[f"normaliser.{name}"] = buffer.clone()
         for name, adam in self.adam.items():
             tensors |= {f"adam.{name}.{key}": each.clone() for key, each in adam.tensors().items()}
-        return Snapshot(tensors, self.returns.state(), weights_version=0)
+        return Snapshot(
+            tensors,
+            self.returns.state(),
+            self.calibration.state(),
+            self.act_inverse_temperature,
+            self.window.kept,
+            weights_version=0,
+        )
 
     def _restore(self, snapshot: Snapshot, *, networks_only: bool = False) -> None:
         stored = snapshot.tensors
         for name, flat in self._flat.items():
             flat.copy_(stored[name])
         self.returns.load(snapshot.returns)
+        self.calibration = Calibration(**snapshot.calibration)
+        self.act_inverse_temperature = snapshot.act_inverse_temperature
+        self.window.kept = snapshot.window
         if networks_only:
             return
         for name, buffer in self.normaliser.named_buffers():
@@ -204,7 +235,6 @@ def make_policy(
         layer_norm=config.layer_norm,
         init=config.init,
         std=config.std,
-        std_floor=config.std_floor,
         learns_std=config.learn_std,
         generator=generator,
     )
@@ -216,3 +246,34 @@ def make_critic(
     """An untrained Q or V, ``[N, in]`` to ``[N, 1]``, in normalised returns."""
     form = Form((inputs, *hidden, 1), activation="tanh", layer_norm=config.layer_norm)
     return Ensemble(form, form.draw(1, generator, init=config.init), single=True)
+
+
+def make_q(inputs: int, hidden: tuple[int, ...], generator: torch.Generator) -> Ensemble:
+    """Two untrained categorical Q, ``[N, in]`` to ``[2, N, BINS]``.
+
+    They are smooth in the action, which relu is not: measured, docs/adr/0021.
+    """
+    form = Form((inputs, *hidden, categorical.BINS), activation="silu", layer_norm=True)
+    q_net = Ensemble(form, form.draw(2, generator))
+    q_net.exact.weight[-1].mul_(0.1)
+    q_net.exact.bias[-1].zero_()
+    return q_net
+
+
+def _numbers(snapshot: Snapshot) -> dict[str, Any]:
+    """Fit for JSON: all of it but the tensors."""
+    return {
+        "returns": snapshot.returns,
+        "calibration": snapshot.calibration,
+        "act_inverse_temperature": snapshot.act_inverse_temperature,
+        "window": [number for number, _ in snapshot.window],
+        "weights_version": snapshot.weights_version,
+    }
+
+
+def _snapshot(
+    networks: dict[str, Tensor], tensors: dict[str, Tensor], numbers: dict[str, Any]
+) -> Snapshot:
+    """Undo `_numbers`; windows are among ``tensors``."""
+    window = stored_window(tensors, numbers["window"])
+    return Snapshot(networks, **numbers | {"window": window})

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.critics import Fits
-from a2s.learner.on_policy.distil import Distilled
 from a2s.learner.on_policy.policy import PolicyChange, entropy
 from a2s.learner.on_policy.recovery import RecoveryDecision
 from a2s.learner.on_policy.state import TrainState
+from a2s.learner.on_policy.suggestions import Pull
 from a2s.learner.on_policy.targets import Targets
 
 
@@ -28,8 +28,11 @@ class UpdateStats:
     kl_target: float
     learning_rate: float
     critic_learning_rate: float
+    q_learning_rate: float
     q_explained_variance: float
     q_action_correlation: float
+    q_slope: float
+    suggestions_share: float
     value_explained_variance: float
     advantage_std: float
     entropy: float
@@ -48,24 +51,27 @@ def update_stats(
     state: TrainState,
     targets: Targets,
     fits: Fits,
-    distilled: Distilled,
+    pull: Pull | None,
     change: PolicyChange,
     decision: RecoveryDecision | None,
     learning_rate: float,
     critic_learning_rate: float,
+    q_learning_rate: float,
 ) -> UpdateStats:
     """Put the numbers of an update together; those of the parts are named as the columns."""
     restored = state.best if decision is not None and decision.recover else None
     return UpdateStats(
         num_steps=batch.num_steps,
         **fits._asdict(),
-        **distilled._asdict(),
         **change._asdict(),
         kl_target=state.learning_rate.kl_target,
         learning_rate=learning_rate,
         critic_learning_rate=critic_learning_rate,
+        q_learning_rate=q_learning_rate,
         q_explained_variance=targets.q_explained_variance,
         q_action_correlation=targets.q_action_correlation,
+        q_slope=state.calibration.slope,
+        suggestions_share=0.0 if pull is None else pull.share,
         value_explained_variance=targets.value_explained_variance,
         entropy=float(entropy(state.policy.log_std)),
         std=float(state.policy.std().mean()),

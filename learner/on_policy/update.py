@@ -1,33 +1,38 @@
 """On-policy A2S: one update from one batch.
 
-Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1. A2C is the same with one
-suggestion and neither equation. `authors.py` has the paper to the letter.
+Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1, the latter in general
+(docs/adr/0021). A2C is the same without Q and equation 5. `authors.py` has the paper to the letter.
 """
+
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from a2s.learner.networks.gaussian import log_density
-from a2s.learner.on_policy.acting import Suggester, as_q_sees, inverse_temperature
+from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch, BatchSize
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.critics import Fits, fit_critics
-from a2s.learner.on_policy.distil import Distilled, distil_policy, distil_target
+from a2s.learner.on_policy.critics import Fits, fit_q, fit_value
 from a2s.learner.on_policy.learning_rate import LearningRate
-from a2s.learner.on_policy.policy import (
-    PolicyChange,
-    PolicyData,
-    importance,
-    improve,
-    normalised,
+from a2s.learner.on_policy.policy import PolicyChange, PolicyData, importance, improve, normalised
+from a2s.learner.on_policy.q_learning import (
+    OUTPUT_STD,
+    QTargets,
+    advantage_over_mean,
+    in_outputs,
+    q_targets,
 )
 from a2s.learner.on_policy.recovery import Recovery
 from a2s.learner.on_policy.state import TrainState
 from a2s.learner.on_policy.stats import UpdateStats, update_stats
+from a2s.learner.on_policy.suggestions import Pull, pull_of_suggestions
 from a2s.learner.on_policy.targets import estimate_targets
 
 # Bounds of the rule `kl`, by the first learning rate.
 _MIN_LEARNING_RATE, _MAX_LEARNING_RATE = 1 / 50, 6.0
+_Q_DRAWS = 2  # of the policy, for the value of a state by Q
+_MIN_INVERSE_TEMPERATURE = 1e-6  # as good as none, but the best of K stays the best
 
 
 class OnPolicy(TrainState):
@@ -37,7 +42,7 @@ class OnPolicy(TrainState):
 
         algorithm = OnPolicy(obs_size, action_size, config, seed)
         while ...:
-            graph = export(algorithm.suggester(low, high, progress), ...)
+            graph = export(algorithm.suggester(low, high), ...)
             stats = algorithm.update(batch)
     """
 
@@ -58,23 +63,27 @@ class OnPolicy(TrainState):
             episodes=config.recovery_episodes,
             cool_down=config.recovery_cool_down,
         )
-        super().__init__(obs_size, action_size, config, learning_rate, recovery, seed)
+        super().__init__(
+            obs_size,
+            action_size,
+            config,
+            learning_rate,
+            recovery,
+            seed,
+            window_steps=config.window_steps,
+        )
 
     @property
     def next_batch(self) -> BatchSize:
         """The least that the next batch holds."""
         return BatchSize(self.config.batch_steps_at(self.updates))
 
-    def suggester(
-        self, action_low: Tensor, action_high: Tensor, progress: float = 0.0
-    ) -> Suggester:
+    def suggester(self, action_low: Tensor, action_high: Tensor) -> Suggester:
         """The present way of acting; it shares the networks and is valid until the next update.
 
-        The environment's bounds are ``[A]``. ``progress`` is the fraction of the run that is done,
-        0..1; only ``anneal_selection`` reads it.
+        The environment's bounds are ``[A]``.
         """
         config = self.config
-        inverse = inverse_temperature(progress) if config.anneal_selection else 1.0
         picks = self.q_trusted and config.suggestions > 1
         return Suggester(
             normaliser=self.normaliser,
@@ -82,10 +91,10 @@ class OnPolicy(TrainState):
             q_net=self.q_net if picks else None,
             action_low=action_low,
             action_high=action_high,
-            mode=config.selection if picks else "first",
+            mode="soft" if picks else "first",
             suggestions=config.suggestions if picks else 1,
-            temperature=config.selection_temperature / inverse,
-            q_scale=self.returns.std,
+            inverse_temperature=max(self.act_inverse_temperature, _MIN_INVERSE_TEMPERATURE),
+            q_scale=self.returns.std / OUTPUT_STD,
         )
 
     def update(
@@ -94,8 +103,7 @@ class OnPolicy(TrainState):
         """Learn from a batch, or go back to the best networks.
 
         Segments are by the present networks, or by ones not much older; with ``is_behind`` by those
-        before the last update. ``progress`` is the fraction of the run that is done, 0..1; only
-        ``lr_rule = anneal`` reads it.
+        before the last update. ``progress`` is the fraction of the run that is done, 0..1.
 
         Raises:
             A2SError: The networks are no longer finite.
@@ -105,38 +113,76 @@ class OnPolicy(TrainState):
         with torch.no_grad():
             old_mean = self.policy(self.normaliser(batch.obs))
         self.normaliser.update(batch.obs)
-        q_action = as_q_sees(batch.suggestion, "clip") if config.uses_q else None
         targets = estimate_targets(
-            batch, self, q_action, gamma=config.gamma, gae_lambda=config.gae_lambda
+            batch, self, None, gamma=config.gamma, gae_lambda=config.gae_lambda
         )
         self.learning_rate.adapt()
-        fits, distilled, change = Fits(), Distilled(), PolicyChange()
+        fits, pull, change = Fits(), None, PolicyChange()
         recovers = decision is not None and decision.recover
         if recovers:
             self.recover()
-        rate = self.learning_rate.at(progress)
-        critic_rate = config.critic_learning_rate * self.learning_rate.left(progress)
+        rate, left = self.learning_rate.at(progress), self.learning_rate.left(progress)
+        critic_rate, q_rate = config.critic_learning_rate * left, config.q_learning_rate * left
         if not recovers:
-            norm_obs = self.normaliser(batch.obs)
-            fits = self._fit_critics(norm_obs, q_action, targets.target, critic_rate)
-            distilled = self._distil(norm_obs, rate)  # equation 6
-            change = self._improve(batch, norm_obs, targets.advantage, old_mean, rate)  # equation 4
+            data = self._policy_data(batch, old_mean, targets.advantage)
+            wanted = self._ask_q(batch, data, targets.advantage) if config.uses_q else None
+            if wanted is not None:
+                targets = replace(
+                    targets,
+                    q_explained_variance=wanted.explained_variance(batch.num_steps),
+                    q_action_correlation=self.calibration.correlation,
+                )
+            self.returns.update(targets.target)
+            fits = self._fit_value(data.obs, targets.target, critic_rate)
+            if wanted is not None:
+                fits = self._fit_q(wanted, q_rate, fits)
+                pull = self._suggest(data)  # equation 6
+            change = self._improve(data, pull, rate, progress)  # equation 4
+            change = change._replace(advantage_std=float(targets.advantage.std(correction=0)))
             self.learning_rate.last_kl = change.kl
         self.end_update()
         return update_stats(
-            batch, self, targets, fits, distilled, change, decision, rate, critic_rate
+            batch, self, targets, fits, pull, change, decision, rate, critic_rate, q_rate
         )
 
-    def _fit_critics(
-        self, norm_obs: Tensor, q_action: Tensor | None, target: Tensor, learning_rate: float
-    ) -> Fits:
-        """Fit Q and V; from now on Q may choose."""
+    def _policy_data(self, batch: Batch, old_mean: Tensor, advantage: Tensor) -> PolicyData:
+        """The batch as the policy learns from it, with the policy before the update."""
         config = self.config
-        self.returns.update(target)
-        self.q_trusted = True
-        return fit_critics(
+        log_std = self.policy.log_std.clone()
+        log_prob = log_density((batch.suggestion - old_mean) * (-log_std).exp(), log_std)
+        weight = importance(log_prob, batch.log_prob, config.weight_limit)
+        return PolicyData(
+            obs=self.normaliser(batch.obs),
+            action=batch.suggestion,
+            log_prob=log_prob,
+            advantage=normalised(advantage, weight) if config.norm_advantage else advantage,
+            weight=weight,
+            mean=old_mean,
+            log_std=log_std,
+        )
+
+    def _ask_q(self, batch: Batch, data: PolicyData, advantage: Tensor) -> QTargets:
+        """Compare what Q says of the batch with what happened; make Q's targets with it.
+
+        Q has not seen the batch. ``advantage`` is not normalised.
+        """
+        if self.q_trusted:
+            said = advantage_over_mean(self, data.obs, data.action)
+            self.calibration.update(said, advantage, data.weight)
+        self.window.add(batch)
+        return q_targets(
+            self.window.joined(),
+            self,
+            gamma=self.config.gamma,
+            retrace_lambda=self.config.retrace_lambda,
+            draws=_Q_DRAWS,
+            generator=self.generators["q"],
+        )
+
+    def _fit_value(self, norm_obs: Tensor, target: Tensor, learning_rate: float) -> Fits:
+        config = self.config
+        return fit_value(
             self.fit_of_value(norm_obs),
-            None if q_action is None else self.fit_of_q(norm_obs, q_action),
             self.returns.normalise(target),
             epochs=config.critic_epochs,
             minibatch=config.critic_minibatch,
@@ -146,50 +192,50 @@ class OnPolicy(TrainState):
             generator=self.generators["order"],
         )
 
-    def _distil(self, norm_obs: Tensor, learning_rate: float) -> Distilled:
+    def _fit_q(self, wanted: QTargets, learning_rate: float, fits: Fits) -> Fits:
+        """Fit Q; from now on it may choose."""
         config = self.config
-        if config.distil == "off":
-            return Distilled()
-        target = distil_target(
+        newest = self.window.kept[-1][1].num_steps
+        steps = max(round(config.q_steps * newest / config.batch_steps), 1)
+        self.q_trusted = True
+        loss = fit_q(
             self.q_net,
-            self.policy,
-            norm_obs,
-            suggestions=config.distil_suggestions,
-            action_mode="clip",
-            generator=self.generators["q"],
-        )
-        return distil_policy(
-            self.policy,
-            self.adam["distil"],
-            norm_obs,
-            target,
-            steps=config.distil_steps,
-            minibatch=config.distil_minibatch,
-            kl_bound=config.distil_kl,
+            self.adam["q"],
+            wanted.inputs,
+            in_outputs(self, wanted.target),
+            steps=steps,
+            minibatch=config.q_minibatch,
             learning_rate=learning_rate,
-            max_grad_norm=config.max_grad_norm,
             generator=self.generators["q"],
         )
+        return fits._replace(q_loss=loss, q_fit_steps=steps)
+
+    def _suggest(self, data: PolicyData) -> Pull:
+        """Ask Q for its opinion of K fresh suggestions in every state of the batch."""
+        config = self.config
+        pull = pull_of_suggestions(
+            self.q_net,
+            data.obs,
+            data.mean,
+            data.log_std.exp(),
+            suggestions=config.suggestions,
+            factor=self.calibration.factor * self.returns.std / OUTPUT_STD,
+            temperature=config.pull_temperature,
+            least_share=config.pull_least_share,
+            act_least_share=config.act_least_share,
+            generator=self.generators["q"],
+        )
+        self.act_inverse_temperature = pull.act_inverse_temperature
+        return pull
 
     def _improve(
-        self, batch: Batch, norm_obs: Tensor, advantage: Tensor, old_mean: Tensor, rate: float
+        self, data: PolicyData, pull: Pull | None, learning_rate: float, progress: float
     ) -> PolicyChange:
-        """Follow the policy gradient; the ratio and the divergence are from before equation 6."""
+        """Follow the policy gradient, and what the suggestions want."""
         config = self.config
-        old_log_std = self.policy.log_std.clone()  # which equation 6 does not move
-        normal = (batch.suggestion - old_mean) * (-old_log_std).exp()
-        log_prob = log_density(normal, old_log_std)
-        weight = importance(log_prob, batch.log_prob, config.weight_limit)
-        data = PolicyData(
-            obs=norm_obs,
-            action=batch.suggestion,
-            log_prob=log_prob,
-            advantage=normalised(advantage, weight) if config.norm_advantage else advantage,
-            weight=weight,
-            mean=old_mean,
-            log_std=old_log_std,
-        )
-        change = improve(
+        if pull is not None:
+            data = replace(data, wanted=pull.mean)
+        return improve(
             self.policy,
             self.adam["policy"],
             data,
@@ -199,8 +245,9 @@ class OnPolicy(TrainState):
             kl_stop=config.kl_stop,
             clip_ratio=config.clip_ratio,
             entropy_weight=config.entropy_weight,
-            learning_rate=rate,
+            pull=config.pull,
+            std_floor=config.std_floor_at(progress),
+            learning_rate=learning_rate,
             max_grad_norm=config.max_grad_norm,
             generator=self.generators["order"],
         )
-        return change._replace(advantage_std=float(advantage.std(correction=0)))

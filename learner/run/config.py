@@ -82,7 +82,7 @@ def on_policy(preset: str, algo: str, given: Mapping[str, object]) -> AnyOnPolic
     changed = config.as_a2c() if algo == "a2c" else config
     hyper = _change(changed, given)
     for name, only in (("suggestions", 1), ("distil", "off")) if algo == "a2c" else ():
-        if (found := getattr(hyper, name)) != only:
+        if (found := getattr(hyper, name, only)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with algo a2c")
     return hyper
 

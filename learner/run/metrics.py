@@ -102,7 +102,11 @@ class LearnerMetrics:
         )
         self.q_action_correlation = self._unknown(
             "q_action_correlation",
-            "Of Q - V with target - V before they are fitted: does Q know the actions apart?",
+            "Of what Q says of actions with their advantage, before it is fitted to them.",
+        )
+        self.q_slope = self._unknown(
+            "q_slope",
+            "How much of Q's difference between two actions is believed, 0..1.",
         )
         self.recoveries = self._counter("recoveries", "Recoveries of the best networks.")
         self.recovery_return = self._unknown("recovery_return", "The statistic r of equation 5.")
@@ -162,10 +166,11 @@ class LearnerMetrics:
             self.explained.labels(network=network).set(
                 getattr(stats, f"{network}_explained_variance")
             )
-            self.learning_rate.labels(network=network).set(stats.critic_learning_rate)
             self.gradient_steps.labels(network=network).inc(getattr(stats, f"{network}_fit_steps"))
             self.loss.labels(loss=network).set(getattr(stats, f"{network}_loss"))
         self.learning_rate.labels(network="policy").set(stats.learning_rate)
+        self.learning_rate.labels(network="value").set(stats.critic_learning_rate)
+        self.learning_rate.labels(network="q").set(stats.q_learning_rate)
         self.loss.labels(loss="policy").set(stats.policy_loss)
         self.loss.labels(loss="distil").set(stats.distil_loss)
         self.kl.set(stats.kl)
@@ -173,6 +178,7 @@ class LearnerMetrics:
         self.policy_std.set(stats.std)
         self.q_trusted.set(stats.q_trusted)
         self.q_action_correlation.set(stats.q_action_correlation)
+        self.q_slope.set(stats.q_slope)
         if stats.recovery is not None and stats.recovery.r is not None:
             self.recovery_return.set(stats.recovery.r)
             best = stats.recovery.r_best

@@ -31,8 +31,8 @@ def test_the_mean_action_has_no_noise(make_graph: MakeGraph, rng: np.random.Gene
 def test_best_of_k_is_never_valued_below_the_mean_action(
     make_graph: MakeGraph, rng: np.random.Generator
 ) -> None:
-    """The mean is one of the K: with hard selection the spread is that of K candidates."""
-    graph = make_graph(selection="hard")
+    """The mean is one of the K; so it is where Q is worth nothing, as here at first."""
+    graph = make_graph()
     obs = rng.standard_normal((64, 2), dtype=np.float32)
     best = Suggester(graph, "best-of-k")(obs, rng)
     mean = Suggester(graph, "mean")(obs, rng)

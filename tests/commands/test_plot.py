@@ -70,7 +70,7 @@ def test_another_way_of_learning_has_another_colour_in_any_panel(tmp_path: Path)
 
 
 def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None:
-    hyper = 'suggestions = 4\nselection_temperature = 3.0\nrecovery = "off"'
+    hyper = 'suggestions = 4\npull_temperature = 0.1\nrecovery = "off"'
     run = _run(tmp_path / "a", [(10, 1.0)], hyper=hyper)
     assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
@@ -78,11 +78,11 @@ def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None
 def test_a_run_with_many_settings_fits_into_its_picture(tmp_path: Path) -> None:
     """Matplotlib warns, which is an error here, where a legend leaves no room for the curves."""
     settings = {
-        "suggestions": 4, "selection_temperature": 2.5, "gamma": 0.97,
+        "suggestions": 4, "pull_temperature": 2.5, "gamma": 0.97,
         "learning_rate": 0.000123,
         "critic_learning_rate": 0.000456, "policy_sizes": [100, 100, 100], "recovery_bias": 0.4,
         "q_sizes": [100, 100, 100], "recovery_episodes": 7, "recovery_cool_down": 9,
-        "distil_suggestions": 11,
+        "window_steps": 1100,
     }  # fmt: skip
     hyper = "\n".join(f"{name} = {value}" for name, value in settings.items())
     rows = [(10 * i, float(i)) for i in range(1, 50)]

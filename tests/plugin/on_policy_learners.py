@@ -73,8 +73,10 @@ def play(
     )
 
 
-def fingerprint(algorithm: OnPolicy | Authors, *, without: str = "-") -> dict[str, list[float]]:
-    """Write out every tensor of the state, but those of a prefix."""
+def fingerprint(
+    algorithm: OnPolicy | Authors, *, without: str | tuple[str, ...] = "-"
+) -> dict[str, list[float]]:
+    """Write out every tensor of the state, but those of some prefixes."""
     tensors, _ = algorithm.state()
     return {
         name: tensor.flatten().tolist()

@@ -85,7 +85,7 @@ class _Taking:
 
     def activation(self) -> nn.Module:
         """One without parameters."""
-        return nn.ReLU() if self.form.activation == "relu" else nn.Tanh()
+        return {"relu": nn.ReLU, "silu": nn.SiLU, "tanh": nn.Tanh}[self.form.activation]()
 
     def network(self) -> nn.Sequential:
         """Take all."""

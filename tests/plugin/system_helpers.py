@@ -52,7 +52,15 @@ class Command:
         found = psutil.Process(self.process.pid).children(recursive=True)
         alive = [p for p in found if is_alive(p.pid) and _is_worker(p)]
         # What a worker has forked has its command line.
-        return [p for p in alive if not any(_is_worker(q) for q in p.parents())]
+        return [p for p in alive if not any(_is_worker(q) for q in _parents(p))]
+
+
+def _parents(process: psutil.Process) -> list[psutil.Process]:
+    """Those of a process; none if it has just ended."""
+    try:
+        return process.parents()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def _is_worker(process: psutil.Process) -> bool:

@@ -16,9 +16,10 @@ from a2s.learner.export.graph import CONTRACT
 from a2s.learner.networks.normaliser import Normaliser
 from a2s.learner.off_policy.acting import OffPolicySuggester
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.on_policy import acting
 from a2s.learner.on_policy.acting import ActionMode, Suggester
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.state import make_critic, make_policy
+from a2s.learner.on_policy.state import make_critic, make_policy, make_q
 from a2s.learner.run.config import off_policy, on_policy
 
 torch.set_num_threads(1)
@@ -34,12 +35,23 @@ def make(variant: str, mode: str, **options: Any) -> AnySuggester:
     return (make_on if variant == "on" else make_off)(mode, **options)
 
 
-def make_on(mode: str, action_mode: ActionMode = "clip", **options: Any) -> Suggester:
+def make_on(
+    mode: str,
+    action_mode: ActionMode = "clip",
+    critics: int = 2,
+    inverse_temperature: float = 1.5,
+    **options: Any,
+) -> Suggester:
+    """With two categorical critics, or with the one of the presets authors and paper."""
     hyper = on_policy("modern", "a2s", {"q_sizes": "9,6", "policy_sizes": "8,7", **options})
     assert isinstance(hyper, OnPolicyConfig)
     generator = torch.Generator().manual_seed(3)
     policy = make_policy(4, 3, hyper, generator)
-    q_net = make_critic(7, hyper.q_sizes, hyper, generator)
+    q_net = (
+        make_q(7, hyper.q_sizes, generator)
+        if critics == 2
+        else make_critic(7, hyper.q_sizes, hyper, generator)
+    )
     for value in (policy.value, policy.log_std, q_net.value):
         value += 0.3 * torch.randn(value.shape, generator=generator)
     normaliser = Normaliser(4, enabled=hyper.norm_obs)
@@ -53,7 +65,7 @@ def make_on(mode: str, action_mode: ActionMode = "clip", **options: Any) -> Sugg
         action_high=HIGH,
         mode=mode,  # type: ignore[arg-type]
         suggestions=1 if first else 5,
-        temperature=hyper.selection_temperature,
+        inverse_temperature=inverse_temperature,
         action_mode=action_mode,
         q_scale=7.0,
     )
@@ -121,7 +133,8 @@ def assert_agree(suggester: AnySuggester, rows: int = 33) -> None:
         {"layer_norm": False},
         {"norm_obs": False},
         {"action_mode": "raw"},
-        {"selection_temperature": 0.25},
+        {"inverse_temperature": 0.25},
+        {"critics": 1},
         {"policy_sizes": "12", "q_sizes": "6"},
         {"policy_sizes": "12,5,4", "q_sizes": "6,5,4"},
     ],
@@ -257,8 +270,8 @@ def test_noise_chooses_the_way_of_acting() -> None:
     normal[:, 0] = 0.0
     (best,) = run(["suggestion"], {**feed, "normal": normal.numpy()})
     assert suggester.q_net is not None
-    chosen = suggester.q_net.score(seen, torch.from_numpy(best).clamp(-1, 1).unsqueeze(1))
-    plain = suggester.q_net.score(seen, mean.clamp(-1, 1).unsqueeze(1))
+    shown = torch.stack([torch.from_numpy(best), mean], 1).clamp(-1, 1)
+    chosen, plain = acting.q_scores(suggester.q_net, seen, shown).T
     assert bool((chosen >= plain - 1e-5).all())
 
 
@@ -277,7 +290,7 @@ def test_replicated_noise_makes_a_plain_step() -> None:
 @pytest.mark.parametrize("mode", ON_MODES)
 def test_log_prob_is_that_of_the_suggestion_as_executed(mode: str) -> None:
     """Of the policy; soft selection adds how much likelier it made the choice than 1 in K."""
-    suggester = make_on(mode, selection_temperature=0.7)
+    suggester = make_on(mode, inverse_temperature=0.7)
     obs, normal = torch.randn(9, 4), torch.randn(9, suggester.suggestions, 3)
     choice = suggester(obs, normal, torch.randn(9, suggester.suggestions))
     seen = suggester.normaliser(obs)
@@ -285,8 +298,8 @@ def test_log_prob_is_that_of_the_suggestion_as_executed(mode: str) -> None:
     expected = policy.log_prob(choice.suggestion).sum(1)  # type: ignore[no-untyped-call]
     if mode == "soft" and suggester.q_net is not None:
         candidates = suggester.policy(seen).unsqueeze(1) + suggester.policy.std() * normal
-        q_value = suggester.q_net.score(seen, candidates.clamp(-1, 1))
-        chance = (q_value / (q_value.std(1, correction=0, keepdim=True) * 0.7)).softmax(1)
+        q_value = acting.q_scores(suggester.q_net, seen, candidates.clamp(-1, 1))
+        chance = (0.7 * q_value).softmax(1)
         chosen = (candidates == choice.suggestion.unsqueeze(1)).all(2)
         expected += (5 * chance[chosen]).log()
     torch.testing.assert_close(choice.log_prob, expected, atol=1e-4, rtol=1e-4)
@@ -294,7 +307,7 @@ def test_log_prob_is_that_of_the_suggestion_as_executed(mode: str) -> None:
 
 def test_export_takes_less_than_five_milliseconds() -> None:
     """It happens at every version."""
-    suggester = make_on("soft", q_sizes="128,64", policy_sizes="64,64")
+    suggester = make_on("soft", q_sizes="128,128", policy_sizes="64,64")
     times = []
     for version in range(20):
         start_s = time.perf_counter()

@@ -38,7 +38,7 @@ def make(
 
 @pytest.mark.parametrize(
     ("shape", "layer_norm", "activation", "members"),
-    list(itertools.product(FORMS, [True, False], ["relu", "tanh"], [0, 1, 3])),
+    list(itertools.product(FORMS, [True, False], ["relu", "silu", "tanh"], [0, 1, 3])),
 )
 def test_outputs_and_gradients_are_those_of_autograd(
     shape: tuple[tuple[int, ...], Network],

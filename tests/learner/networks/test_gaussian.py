@@ -33,19 +33,20 @@ def make(learns_std: bool) -> Policy:
         layer_norm=True,
         init="uniform",
         std=0.5,
-        std_floor=0.15,
         learns_std=learns_std,
         generator=torch.Generator().manual_seed(0),
     )
 
 
 def test_std_is_a_parameter_only_when_learned() -> None:
-    """The floor is held by the parameter itself."""
+    """The floor is held by the parameter itself; 0 is none."""
     fixed, learned = make(False), make(True)
     assert len(learned.value) == len(fixed.value) + 2
     torch.testing.assert_close(fixed.std(), torch.full((2,), 0.5))
     learned.value[:2] = -9.0
-    learned.hold_floor()
+    learned.hold_floor(0.0)
+    assert learned.log_std.tolist() == [-9.0, -9.0]
+    learned.hold_floor(0.15)
     torch.testing.assert_close(learned.std(), torch.full((2,), 0.15))
 
 

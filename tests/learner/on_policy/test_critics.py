@@ -1,4 +1,6 @@
-"""Fitting Q and V."""
+"""Fitting V and Q."""
+
+import math
 
 import pytest
 import torch
@@ -7,7 +9,9 @@ from torch import Tensor
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
-from a2s.learner.on_policy.critics import Fits, Regression, fit_critics, num_minibatches
+from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy.critics import Fits, Regression, fit_q, fit_value, num_minibatches
+from a2s.learner.on_policy.state import make_q
 
 
 def job_of(seed: int = 0) -> tuple[Regression, Tensor]:
@@ -25,13 +29,10 @@ def predict(job: Regression) -> Tensor:
     return job.network(job.inputs).squeeze(-1)
 
 
-def fit(
-    value: Regression, q: Regression | None, target: Tensor, epochs: int = 1, rate: float = 0.05
-) -> Fits:
+def fit(value: Regression, target: Tensor, epochs: int = 1, rate: float = 0.05) -> Fits:
     """Fit with a fixed order of rows."""
-    return fit_critics(
+    return fit_value(
         value,
-        q,
         target,
         epochs=epochs,
         minibatch=32,
@@ -45,7 +46,7 @@ def fit(
 def test_passes_learn_a_linear_target() -> None:
     """A hundred passes are plenty."""
     job, target = job_of()
-    found = fit(job, None, target, 100)
+    found = fit(job, target, 100)
     assert found.value_loss < 1e-3
     assert (found.value_fit_steps, found.q_fit_steps, found.q_loss) == (300, 0, 0.0)
 
@@ -54,17 +55,34 @@ def test_loss_is_the_mean_squared_error_of_the_last_pass() -> None:
     """At rate 0 the loss of a pass is that of the batch."""
     job, target = job_of()
     expected = float((predict(job) - target).square().mean())
-    assert fit(job, None, target, rate=0.0).value_loss == pytest.approx(expected, rel=1e-5)
+    assert fit(job, target, rate=0.0).value_loss == pytest.approx(expected, rel=1e-5)
 
 
-def test_company_changes_nothing() -> None:
-    """Fitted beside another, a network learns the same to the bit."""
-    alone, target = job_of()
-    together, _ = job_of()
-    other, _ = job_of(seed=9)
-    beside = fit(together, other, target)
-    assert fit(alone, None, target).value_loss == beside.value_loss != beside.q_loss
-    assert torch.equal(predict(alone), predict(together))
+def test_q_learns_what_it_is_told() -> None:
+    """Both critics, of every input; the loss falls to that of a target's width."""
+    generator = torch.Generator().manual_seed(0)
+    inputs = torch.rand(512, 3, generator=generator) * 2 - 1
+    target = 4.0 * inputs[:, 0] - 3.0 * inputs[:, 1] * inputs[:, 2]
+    q_net = make_q(3, (32, 32), generator)
+    adam = Adam(q_net.value)
+    losses = [
+        fit_q(
+            q_net,
+            adam,
+            inputs,
+            target,
+            steps=steps,
+            minibatch=64,
+            learning_rate=3e-3,
+            generator=generator,
+        )
+        for steps in (1, 600, 1)
+    ]
+    wrong = categorical.mean(q_net(inputs)) - target
+    assert wrong.shape == (2, 512)
+    assert float(wrong.abs().mean()) < 0.2
+    assert losses[0] == pytest.approx(math.log(categorical.BINS), abs=0.3)
+    assert losses[2] < 1.6
 
 
 @pytest.mark.parametrize(

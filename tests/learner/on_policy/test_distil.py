@@ -1,4 +1,4 @@
-"""Equation 6."""
+"""Equation 6 as the presets `authors` and `paper` have it."""
 
 import pytest
 import torch
@@ -9,13 +9,12 @@ from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import Policy
 from a2s.learner.on_policy import state
-from a2s.learner.on_policy.acting import ActionMode
+from a2s.learner.on_policy.acting import ActionMode, score_in_parts
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.distil import (
     distil_loss,
     distil_policy,
     distil_target,
-    score_in_parts,
 )
 
 

@@ -22,6 +22,7 @@ from a2s.learner.on_policy.policy import (
     importance,
     improve,
     normalised,
+    pull_loss,
 )
 
 
@@ -101,10 +102,10 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     mean, log_std = torch.zeros(40_000, 1, requires_grad=True), torch.full((1,), 0.5).log()
     candidate = 0.5 * torch.randn(40_000, 10, 1, generator=generator)
     uniform = torch.rand(40_000, 10, generator=generator)
-    index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 1.0)
+    index = select_soft(candidate[..., 0], -(-uniform.log()).log(), 2.0)
     action = take(candidate, index)
     log_prob = density_of(mean, log_std, action)
-    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 1.0)
+    executed = log_prob.detach() + log_preference(candidate[..., 0], index, 2.0)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
     drawn = log_prob.detach()
     _, slope = clipped_loss(drawn, drawn, torch.ones(40_000), weight, 0.2)
@@ -115,10 +116,9 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
         assert float(-gradient.sum()) > 1.0
 
 
-def make_policy(std_floor: float = 0.15) -> Policy:
+def make_policy() -> Policy:
     """Build a policy of four observed numbers and two actions."""
-    config = OnPolicyConfig(std_floor=std_floor)
-    return state.make_policy(4, 2, config, torch.Generator().manual_seed(0))
+    return state.make_policy(4, 2, OnPolicyConfig(), torch.Generator().manual_seed(0))
 
 
 def data_of(policy: Policy, rows: int = 400) -> PolicyData:
@@ -146,6 +146,8 @@ def improved(
     kl_stop: float = 0.05,
     epochs: int = 10,
     minibatch: int = 256,
+    pull: float = 0.0,
+    std_floor: float = 0.15,
 ) -> PolicyChange:
     """Improve with the rest as by default."""
     return improve(
@@ -158,6 +160,8 @@ def improved(
         kl_stop=kl_stop,
         clip_ratio=0.2,
         entropy_weight=0.0,
+        pull=pull,
+        std_floor=std_floor,
         learning_rate=learning_rate,
         max_grad_norm=0.5,
         generator=torch.Generator().manual_seed(0),
@@ -215,8 +219,44 @@ def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
 
 def test_std_is_held_at_its_floor() -> None:
     """Though the advantage asks for less."""
-    policy = make_policy(std_floor=0.499)
+    policy = make_policy()
     data = data_of(policy)
     narrow = -(data.action - data.mean).square().sum(1)
-    improved(policy, dataclasses.replace(data, advantage=normalised(narrow, data.weight)), 1e-2)
+    improved(
+        policy,
+        dataclasses.replace(data, advantage=normalised(narrow, data.weight)),
+        1e-2,
+        std_floor=0.499,
+    )
     torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))
+
+
+def test_pull_is_the_divergence_of_what_is_wanted() -> None:
+    """Against torch's distributions and autograd."""
+    generator = torch.Generator().manual_seed(0)
+    mean, wanted = torch.randn(2, 20, 2, generator=generator)
+    mean.requires_grad_()
+    log_std, old = torch.tensor([-0.5, -1.0], requires_grad=True), torch.tensor([-0.7, -0.9])
+    expected = kl_divergence(Normal(wanted, old.exp()), Normal(mean, log_std.exp())).sum(1).mean()
+    expected.backward()  # type: ignore[no-untyped-call]
+    found = pull_loss(mean.detach(), log_std.detach(), wanted, old)
+    torch.testing.assert_close(found.loss, expected.detach())
+    torch.testing.assert_close(found.by_mean, mean.grad)
+    torch.testing.assert_close(found.by_log_std, log_std.grad)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.3])
+def test_suggestions_pull_the_policy_to_what_they_want(away: float) -> None:
+    """Where nothing was better they move it, or hold it where it is."""
+    policy = make_policy()
+    data = data_of(policy)
+    asked = dataclasses.replace(
+        data, advantage=torch.zeros(400), wanted=data.mean + away * data.log_std.exp()
+    )
+    found = improved(policy, asked, 3e-3, kl_stop=1.0, epochs=30, pull=1.0)
+    with torch.no_grad():
+        moved = ((policy(data.obs) - data.mean) / data.log_std.exp()).mean(0)
+    torch.testing.assert_close(moved, torch.full((2,), away), atol=0.05, rtol=0.0)
+    assert found.distil_steps == 240
+    assert found.distil_loss < 0.01
+    torch.testing.assert_close(policy.log_std, data.log_std, atol=0.05, rtol=0.0)

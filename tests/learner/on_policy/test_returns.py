@@ -13,6 +13,7 @@ from a2s.learner.on_policy.returns import (
     correlation,
     explained_variance,
     lambda_estimates,
+    retrace,
 )
 
 
@@ -60,6 +61,36 @@ def test_estimates_agree_with_the_definition(
         expected += slow_advantage(r.tolist(), v.tolist(), float(a), gamma, lam)
     torch.testing.assert_close(found.advantage, torch.tensor(expected), atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(found.target, found.advantage + value)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    gamma=st.floats(0.5, 1.0),
+    lam=st.floats(0.0, 1.0),
+    seed=st.integers(0, 1000),
+)
+def test_retrace_agrees_with_the_sum_of_its_paper(
+    lengths: list[int], gamma: float, lam: float, seed: int
+) -> None:
+    """``Q + sum_t gamma^t c_1..c_t delta_t``, with ``c = lam min(1, ratio)``, written out."""
+    generator = torch.Generator().manual_seed(seed)
+    reward, q_value, value = torch.randn(3, sum(lengths), generator=generator)
+    ratio = 2.0 * torch.rand(sum(lengths), generator=generator)
+    after = torch.randn(len(lengths), generator=generator)
+    batch = batch_of(reward, lengths, [False] * len(lengths))
+    found = retrace(batch, q_value, value, after, ratio, gamma=gamma, lam=lam)
+    expected: list[float] = []
+    rows = _cut(lengths, reward, q_value, value, ratio)
+    for r, q, v, c, a in zip(*rows, after, strict=True):
+        following = torch.cat([v[1:], a.view(1)])
+        delta = r + gamma * following - q
+        for start in range(len(r)):
+            total, trace = float(q[start]), 1.0
+            for t in range(start, len(r)):
+                trace *= lam * min(1.0, float(c[t])) if t > start else 1.0
+                total += gamma ** (t - start) * trace * float(delta[t])
+            expected.append(total)
+    torch.testing.assert_close(found, torch.tensor(expected), atol=1e-4, rtol=1e-4)
 
 
 def test_target_of_lambda_one_is_the_discounted_return() -> None:

@@ -46,8 +46,8 @@ def test_authors_have_the_values_of_table_3() -> None:
 @pytest.mark.parametrize("preset", ON_PRESETS)
 def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> None:
     """For every preset."""
-    same: dict[str, object] = {"suggestions": 1, "distil": "off", "recovery": "off"}
-    same |= {} if preset == "modern" else {"advantage": "return-v"}
+    same: dict[str, object] = {"suggestions": 1, "recovery": "off"}
+    same |= {} if preset == "modern" else {"advantage": "return-v", "distil": "off"}
     assert on_policy(preset, "a2c", {}) == on_policy(preset, "a2s", same)
 
 
@@ -61,7 +61,7 @@ def test_a2c_is_a2s_with_one_suggestion_and_neither_equation(preset: str) -> Non
         ("gamma", ".9", 0.9),
         ("kl_stop", "inf", math.inf),
         ("norm_obs", "false", False),
-        ("selection", "hard", "hard"),
+        ("lr_rule", "kl", "kl"),
         ("q_sizes", "256,128", (256, 128)),
         ("q_sizes", "256-128", (256, 128)),
         ("q_sizes", "[256, 128]", (256, 128)),
@@ -95,12 +95,16 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ({"batch_steps": "0"}, "batch_steps: found 0, expected a whole number of at least 1"),
         ({"gamma": "nan"}, "gamma: found nan, expected a number from 1e-06 to 1"),
         ({"gamma": 1.5}, "gamma: found 1.5, expected a number from 1e-06 to 1"),
-        ({"selection": "sotf"}, "selection: found 'sotf', expected one of hard, soft"),
+        ({"lr_rule": "k"}, "lr_rule: found 'k', expected one of constant, anneal, kl"),
         ({"layer_norm": "maybe"}, "layer_norm: found 'maybe', expected true or false"),
         ({"layer_norm": 1}, "layer_norm: found 1, expected true or false"),
         ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected layer sizes such as 64,64"),
         ({"q_sizes": "64,0"}, "q_sizes: found 0, expected a whole number from 1 to 65536"),
-        ({"std": 0.1}, r"std_floor: found 0.15, expected at most std \(0.1\)"),
+        ({"std": 0.1}, r"std_floor: found 0.3, expected at most std \(0.1\)"),
+        (
+            {"last_std_floor": 0.4},
+            r"last_std_floor: found 0.4, expected at most std_floor \(0.3\)",
+        ),
         (
             {"min_episodes": 3},
             r"unknown hyperparameter 'min_episodes' \(only in the presets .*\)",
