@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from curves import curves
-from suites import REFERENCE, SUITES, kept_episodes, name_of
+from suites import PENDULUM, REFERENCE, SUITES, kept_episodes, kept_evaluations, name_of
 from table import tables
 
 HERE = Path(__file__).parent
@@ -52,6 +52,8 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         mode: json.loads(_a2s("evaluate", str(path), "--mode", mode, *how)) for mode in MODES
     }
     summary = json.loads((path / "summary.json").read_text())
+    if env != PENDULUM and SUITES[suite].keep_every:
+        _evaluate_kept(path, kept_evaluations(HERE / SUITES[suite].folder, suite, path.name))
     return {
         "suite": suite,
         "env": env,
@@ -64,7 +66,7 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
         "mean_std": round(results["mean"]["std"], 1),
         "best_of_k": round(results["best-of-k"]["mean"], 1),
         "best_of_k_std": round(results["best-of-k"]["std"], 1),
-        "first_1000": _first_solved(path),
+        "first_1000": _first_solved(path) if env == PENDULUM else None,
         "return_last_tenth": _last_tenth(path, suite, summary["env_steps"]),
         "return_best": round(summary["return_best"], 1),
         "recoveries": summary["recoveries"],
@@ -110,6 +112,18 @@ def _first_solved(path: Path) -> int | None:
         if json.loads(said)["mean"] == 1000.0:
             return int(policy.parent.name)
     return None
+
+
+def _evaluate_kept(path: Path, output: Path) -> None:
+    """Evaluate every kept policy by its mean action on the same 10 fresh episodes."""
+    if output.exists():
+        return
+    lines = ["env_steps,mean"]
+    for policy in sorted(path.glob("policies/*/policy.onnx")):
+        said = _a2s("evaluate", str(policy), "--episodes", "10", "--seed", "2000", "--json")
+        lines.append(f"{int(policy.parent.name)},{json.loads(said)['mean']:.1f}")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text("\n".join(lines) + "\n")
 
 
 def _a2s(*arguments: str) -> str:

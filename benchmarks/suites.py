@@ -39,7 +39,9 @@ LABELS: dict[str, tuple[str, ...]] = {
     "authors": ("--preset", "authors"),
     "authors-a2c": ("--preset", "authors", "--algo", "a2c"),
     "k1": ("--suggestions", "1"),
+    "k2": ("--suggestions", "2"),
     "k4": ("--suggestions", "4"),
+    "k32": ("--suggestions", "32"),
     "no-recovery": ("--set", "recovery=off"),
     "off-policy": _OFF,
     "off-policy-k1": _off(act_suggestions=1),
@@ -63,6 +65,7 @@ class Suite:
         steps: Of every run.
         num_envs: Environments of the actor process.
         continues: A suite of fewer steps: runs that it has as well go on from where they ended.
+        keep_every: Updates after which a policy is kept, to be evaluated when the run has ended.
     """
 
     folder: str
@@ -72,11 +75,12 @@ class Suite:
     steps: int
     num_envs: int
     continues: str | None = None
+    keep_every: int = 0
 
     def options(self, env: str, label: str, seed: int) -> tuple[str, ...]:
         """Of the run."""
         num_envs = 1 if label in _ONE_ENV else self.num_envs
-        kept = ("--keep-policy-every", "1") if env == PENDULUM else ()
+        kept = ("--keep-policy-every", str(self.keep_every)) if self.keep_every else ()
         return (
             "--env", env, "--total-steps", str(self.steps), "--seed", str(seed), "--n", "1",
             "--envs", str(num_envs), *LABELS[label], *kept,
@@ -88,10 +92,29 @@ _OFF_ABLATED = ("Walker2d-v5", "HalfCheetah-v5")
 
 SUITES = {
     "figure-2": Suite(
-        "on_policy", (PENDULUM,), ("modern", "no-recovery", "a2c"), (0, 1, 2, 3, 4), 20_000, 16
+        "on_policy",
+        (PENDULUM,),
+        ("modern", "no-recovery", "a2c"),
+        (0, 1, 2, 3, 4),
+        20_000,
+        16,
+        keep_every=1,
     ),
     "million": Suite(
         "on_policy", MUJOCO, ("modern", "a2c", "authors", "authors-a2c"), (0, 1, 2), 1_000_000, 16
+    ),
+    # 25 updates of 2,048 steps are 51,200.
+    "suggestions": Suite(
+        "on_policy", MUJOCO, ("modern", "a2c"), tuple(range(20, 30)), 1_000_000, 16, keep_every=25
+    ),
+    "suggestions-300k": Suite(
+        "on_policy",
+        MUJOCO,
+        ("modern", "a2c", "k2", "k4", "k32"),
+        tuple(range(20, 25)),
+        300_000,
+        16,
+        keep_every=25,
     ),
     # The results have more labels, of options that are gone since.
     "ablation": Suite(
@@ -117,6 +140,11 @@ SUITES = {
 def name_of(suite: str, env: str, label: str, seed: int) -> str:
     """Name of a run, also of its kept episodes."""
     return f"{env}-{label}-{SUITES[suite].steps}-{seed}"
+
+
+def kept_evaluations(folder: Path, suite: str, name: str) -> Path:
+    """Where the evaluations of a run's policies are kept: ``env_steps,mean`` in each line."""
+    return folder / "evaluations" / suite / f"{name}.csv"
 
 
 def kept_episodes(folder: Path, suite: str, name: str) -> Path:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scores import interval, iqm
+from scores import area, compare, interval, iqm
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
@@ -21,3 +21,19 @@ def test_the_interval_of_three_seeds_is_that_of_all_27_resamples() -> None:
 def test_each_task_keeps_its_number_of_seeds() -> None:
     """Otherwise two tasks of equal seeds would have a wide interval."""
     assert interval([[1.0, 1.0], [3.0, 3.0]]) == (2.0, 2.0, 2.0)
+
+
+def test_a_comparison_by_hand() -> None:
+    """All of ours are 2 larger than the largest of theirs; then they are the same."""
+    found = compare([5.0, 5.0, 5.0], [3.0, 3.0, 3.0])
+    assert found == (2.0, 2.0, 2.0, 5.0 / 3.0, 1.0)
+    same = compare([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
+    assert (same.difference, same.ratio, same.improvement) == (0.0, 1.0, 0.5)
+    assert same.low < 0.0 < same.high
+    assert compare([1.0, 4.0], [2.0, 3.0]).improvement == 0.5
+
+
+def test_the_area_is_the_mean_height_of_the_curve() -> None:
+    """Half of it at 0, then up to 4 within a quarter, then there."""
+    steps, mean = np.array([0.0, 2.0, 3.0, 4.0]), np.array([0.0, 0.0, 4.0, 4.0])
+    assert area(steps, mean) == pytest.approx((0.0 + 2.0 + 4.0) / 4.0)
