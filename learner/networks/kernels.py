@@ -14,14 +14,14 @@ from a2s.protocol.fields import Array
 
 # Sums may be reordered, so that they are made eight and more at a time. A loop that adds up stores
 # nothing: else it is made one by one, in another order, where arrays happen to lie close together.
-_compiled = numba.njit(
+compiled = numba.njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
 )
 _F, _U = np.float32, np.uint32
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
-@_compiled  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def forward(
     x: Array, gain: Array, offset: Array, bias: Array, has_bias: bool, relu: bool, eps: float,
     out: Array, stats: Array,
@@ -54,7 +54,7 @@ def forward(
                 _write(out, e, n, j, least if affine < least else affine)
 
 
-@_compiled  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def backward(grad: Array, x: Array, out: Array, stats: Array, gain: Array,  # noqa: C901 - loops
     bias: Array, has_bias: bool, relu: bool, wanted: bool, by_input: Array, by_gain: Array,
     by_offset: Array, by_bias: Array) -> None:  # fmt: skip

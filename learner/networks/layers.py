@@ -83,7 +83,10 @@ class Linear:
 
 
 class Activation:
-    """``max(x, 0)``, ``x / (1 + exp(-x))`` or ``tanh(x)``, in the memory of the layer below."""
+    """``max(x, 0)``, ``tanh(x)``, or silu, ``x / (1 + exp(-x))``.
+
+    The memory of the layer below is written over, except by silu with a tape.
+    """
 
     def __init__(self, kind: options.Activation) -> None:
         self.kind = kind

@@ -5,15 +5,11 @@ As `kernels`, whose arguments these have; rows are float32.
 
 from typing import Any
 
-import numba
 import numpy as np
 
-from a2s.learner.networks.kernels import as_float
+from a2s.learner.networks.kernels import as_float, compiled
 from a2s.protocol.fields import Array
 
-_compiled = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
-)
 _F, _I, _U = np.float32, np.int32, np.uint32
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _LOG2_E, _LN_2 = np.float32(1.442695041), np.float32(0.6931471806)
@@ -22,7 +18,7 @@ _MOST = np.float32(80.0)
 _C6, _C5, _C4, _C3 = (np.float32(1.0 / n) for n in (720, 120, 24, 6))
 
 
-@_compiled  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def sigmoid(x: Any) -> Any:
     """``1 / (1 + exp(-x))`` of a float32, up to 3e-7; vectorised, as a call of exp is not."""
     y = min(max(-x, -_MOST), _MOST)
@@ -33,7 +29,7 @@ def sigmoid(x: Any) -> Any:
     return _ONE / (_ONE + power * as_float(_U((whole + _I(127)) << _I(23))))
 
 
-@_compiled  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def forward(
     x: Array, gain: Array, offset: Array, bias: Array, eps: float, out: Array, stats: Array
 ) -> None:
@@ -62,7 +58,7 @@ def forward(
                 out[e, n, j] = affine * sigmoid(affine)
 
 
-@_compiled  # type: ignore[untyped-decorator]
+@compiled  # type: ignore[untyped-decorator]
 def backward(  # noqa: C901 - loops
     grad: Array, x: Array, stats: Array, gain: Array, offset: Array, bias: Array, wanted: bool,
     by_input: Array, by_gain: Array, by_offset: Array, by_bias: Array,

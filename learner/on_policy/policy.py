@@ -17,9 +17,7 @@ from a2s.learner.on_policy.returns import RESOLUTION
 
 # Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
 MIN_WEIGHT, MAX_LOG_RATIO = 1e-30, 20.0
-_BY_ROW = (
-    "obs", "action", "log_prob", "advantage", "weight", "mean", "wanted"
-)  # fmt: skip
+_BY_ROW = ("obs", "action", "log_prob", "advantage", "weight", "mean", "wanted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,7 +141,7 @@ def improve(
             loss, grad_mean, grad_log_std = differentiate(
                 mean, policy.log_std, part, clip_ratio, entropy_weight
             )
-            if part.wanted is not None and pull > 0:
+            if part.wanted is not None:
                 apart = pull_loss(mean, policy.log_std, part.wanted, part.log_std)
                 grad_mean += pull * apart.by_mean
                 grad_log_std += pull * apart.by_log_std

@@ -233,7 +233,7 @@ class OnPolicy(TrainState):
     ) -> PolicyChange:
         """Follow the policy gradient, and what the suggestions want."""
         config = self.config
-        if pull is not None:
+        if pull is not None and config.pull > 0:
             data = replace(data, wanted=pull.mean)
         return improve(
             self.policy,
