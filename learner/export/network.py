@@ -51,7 +51,7 @@ def add_network(nodes: Nodes, name: str, layers: Sequence[Layer], x: str, *, row
             case Norm():
                 scale = (f"{name}.gain.{layer.index}", f"{name}.offset.{layer.index}")
                 x = nodes.add("LayerNormalization", x, *scale, axis=-1, epsilon=LAYER_NORM_EPS)
-                x = x if layer.activation is None else _activate(nodes, layer.activation, x)
+                x = nodes.add("Relu", x) if layer.relu else x
             case Activation():
                 x = _activate(nodes, layer.kind, x)
             case Residual():

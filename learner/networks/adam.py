@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from a2s.protocol.fields import Array
+
 BETA_1, BETA_2, EPS = 0.9, 0.999, 1e-8
 
 
@@ -31,6 +33,10 @@ class Adam:
             lr=learning_rate, beta1=BETA_1, beta2=BETA_2, weight_decay=0.0, eps=EPS,
             amsgrad=False, maximize=False,
         )  # fmt: skip
+
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """Parameters and both moments in the same memory, ``[P]`` each."""
+        return self._value.numpy(), self._first.numpy(), self._second.numpy()
 
     def tensors(self) -> dict[str, Tensor]:
         """Moments and number of steps, not copied."""

@@ -108,10 +108,6 @@ class Ensemble:
         """Evaluate several actions for every observation, see `score_many`."""
         return score_many(self.form, self.weights, obs, action)
 
-    def outputs(self, obs: Tensor, action: Tensor) -> Tensor:
-        """Outputs for several actions of every observation, see `many_outputs`."""
-        return many_outputs(self.form, self.weights, obs, action)
-
     def _run(self, x: Tensor, below: list[Any] | None, above: list[Any] | None) -> Tensor:
         form = self.form
         if not self.single:
@@ -123,12 +119,6 @@ class Ensemble:
 
 
 def score_many(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
-    """Means of `many_outputs`, ``[E, B, K]``."""
-    out = many_outputs(form, weights, obs, action)
-    return out.squeeze(-1) if out.shape[-1] == 1 else out.mean(-1)
-
-
-def many_outputs(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> Tensor:
     """Evaluate several actions for every observation; the observation's part is computed once.
 
     The input of ``form`` is observation and action joined. Observations are ``[B, D]``, actions
@@ -136,7 +126,7 @@ def many_outputs(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> T
     neither has anything else then.
 
     Returns:
-        ``[E, B, K, out]``.
+        Means of the outputs, ``[E, B, K]``.
     """
     *members, rows, count, _ = action.shape
     weight = weights.weight[form.first.index]
@@ -149,4 +139,5 @@ def many_outputs(form: Form, weights: Weights, obs: Tensor, action: Tensor) -> T
     both = acted.view(*members, rows, count, -1)
     both += shared.unsqueeze(-2)
     out = run(form.layers[1:], weights, both.flatten(-3, -2))
-    return out.view(*members, rows, count, -1).to(obs.dtype)
+    out = out.view(*members, rows, count, -1).to(obs.dtype)
+    return out.squeeze(-1) if out.shape[-1] == 1 else out.mean(-1)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -10,7 +11,17 @@ from a2s.learner.networks.layer_norm import Norm
 from a2s.learner.networks.layers import Activation, Layer, Linear, Residual
 from a2s.learner.networks.options import Activation as Function
 from a2s.learner.networks.options import Init, Network
-from a2s.learner.networks.weights import Affine, Weights
+from a2s.learner.networks.weights import (
+    BIAS,
+    COLUMNS,
+    GAIN,
+    OFFSET,
+    ROWS,
+    WEIGHT,
+    Affine,
+    Weights,
+)
+from a2s.protocol.fields import Array
 
 
 class Form:
@@ -88,6 +99,20 @@ class Form:
         ]
         return Weights(weight, bias, norms)
 
+    def layout(self, members: int, member: int, start: int = 0) -> Array:
+        """Where the parameters of a member are in a vector ``[E length]`` that begins at ``start``.
+
+        Int64 ``[layers, 6]``: inputs, outputs, and first place of weight, bias, gain and offset;
+        -1 where a layer has no normalisation. Only for `Linear`s in a chain.
+        """
+        layers = [[rows, columns, 0, 0, -1, -1] for rows, columns in self.linears]
+        for column in (WEIGHT, BIAS, GAIN, OFFSET):
+            for at in layers[: len(self.norms) if column in (GAIN, OFFSET) else None]:
+                size = at[ROWS] * at[COLUMNS] if column == WEIGHT else at[COLUMNS]
+                at[column] = start + member * size
+                start += members * size
+        return np.array(layers)
+
     def draw(
         self,
         members: int,
@@ -128,26 +153,22 @@ class Form:
         self.linears.append((rows, columns))
         return Linear(len(self.linears) - 1, adds_bias=adds_bias)
 
-    def _norm(
-        self, width: int, *, activation: Function | None = None, bias: int | None = None
-    ) -> list[Layer]:
+    def _norm(self, width: int, *, relu: bool = False, bias: int | None = None) -> list[Layer]:
         if not self.layer_norm:
             return []
-        compiled = self.activation != "tanh"
-        norm = Norm(len(self.norms), bias=bias, activation=activation, compiled=compiled)
+        compiled = self.activation == "relu"
+        norm = Norm(len(self.norms), bias=bias, relu=relu, compiled=compiled)
         self.norms.append(norm)
         self._norm_widths.append(width)
         return [norm]
 
     def _chain(self, rows: int, widths: list[int]) -> tuple[list[Layer], int]:
         """Linear, normalisation and activation for each width; also returns the last width."""
-        fused = self.layer_norm and self.activation != "tanh"
-        above = self.activation if fused else None
+        fused = self.layer_norm and self.activation == "relu"
         layers: list[Layer] = []
         for width in widths:
             linear = self._linear(rows, width, adds_bias=not fused)
-            bias = linear.index if fused else None
-            layers += [linear, *self._norm(width, activation=above, bias=bias)]
+            layers += [linear, *self._norm(width, relu=fused, bias=linear.index if fused else None)]
             layers += [] if fused else [Activation(self.activation)]
             rows = width
         return layers, rows

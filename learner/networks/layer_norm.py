@@ -1,8 +1,8 @@
 """Layer normalisation with gain and offset, and its gradient.
 
-In networks of relu or silu on a CPU compiled kernels make it in one pass, with the bias before and
-the activation after it (docs/adr/0007, 0021); elsewhere, and in float64, torch's kernels do.
-torch's own gradient by gain and offset is not used: it takes one member at a time.
+In relu networks on a CPU compiled kernels make it in one pass, with the bias before and the cut at
+0 after it (docs/adr/0007); elsewhere, and in float64, torch's kernels do. torch's own gradient by
+gain and offset is not used: it takes one member at a time.
 """
 
 import functools
@@ -13,8 +13,7 @@ import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 from a2s.learner.networks.layers import sum_rows
-from a2s.learner.networks.options import Activation
-from a2s.learner.networks.weights import Affine, Weights
+from a2s.learner.networks.weights import Weights
 from a2s.protocol.fields import Array
 
 LAYER_NORM_EPS = 1e-5
@@ -30,51 +29,40 @@ class _Compiled(NamedTuple):
 
 
 class _Normed(NamedTuple):
-    """What torch's kernels keep; ``normal`` lacks gain and offset, ``affine`` the activation."""
+    """What torch's kernels keep; ``normal`` lacks gain and offset."""
 
     x: Tensor
     normal: Tensor
     mean: Tensor
     rstd: Tensor
-    affine: Tensor
+    out: Tensor
 
 
 class Norm:
     """Layer normalisation over the last dimension, with the gain and offset number ``index``.
 
-    ``bias`` is the number of the bias that the Linear below leaves to this layer, if it does.
-    ``activation``, relu or silu, is applied after it. ``compiled`` allows the kernels, which need
-    members, a CPU, no float64; those of silu float32, and a bias.
+    ``bias`` is the number of the bias that the Linear below leaves to this layer, if it does. With
+    ``relu`` it cuts at 0. ``compiled`` allows the kernels, which need members, a CPU, no float64.
     """
 
     def __init__(
-        self,
-        index: int,
-        *,
-        bias: int | None = None,
-        activation: Activation | None = None,
-        compiled: bool,
+        self, index: int, *, bias: int | None = None, relu: bool = False, compiled: bool
     ) -> None:
         self.index = index
         self.bias = bias
-        self.activation = activation
+        self.relu = relu
         self.compiled = compiled
 
     def forward(self, weights: Weights, x: Tensor, tape: list[Any] | None) -> Tensor:
         """Normalise, ``[E, N, W]`` or ``[N, W]``, of any precision."""
         affine, x = weights.norms[self.index], x.contiguous()
-        if self._fits_kernels(x, affine):
+        if self.compiled and x.dim() == 3 and x.is_cpu and x.dtype != torch.float64:
             out, stats = torch.empty_like(x), affine.gain.new_empty(2, *x.shape[:2])
             kept = _Compiled(_raw(x), _raw(out), stats.numpy())
-            if self.activation == "silu":
-                _silu_kernels().forward(
-                    kept.x, *affine.arrays, LAYER_NORM_EPS, kept.out, kept.stats
-                )
-            else:
-                _kernels().forward(
-                    kept.x, *affine.arrays, affine.bias is not None, self.activation == "relu",
-                    LAYER_NORM_EPS, kept.out, kept.stats,
-                )  # fmt: skip
+            has_bias = affine.bias is not None
+            _kernels().forward(
+                kept.x, *affine.arrays, has_bias, self.relu, LAYER_NORM_EPS, kept.out, kept.stats
+            )
             if tape is not None:
                 tape.append(kept)
             return out
@@ -82,15 +70,14 @@ class Norm:
         if affine.bias is not None:
             rows = rows + affine.bias
         width = rows.shape[-1:]
-        if tape is None and x.dim() == 2 and self.activation is None:
+        if tape is None and x.dim() == 2 and not self.relu:
             return F.layer_norm(rows, width, affine.gain, affine.offset, LAYER_NORM_EPS)
         normal, mean, rstd = torch.native_layer_norm(rows, width, None, None, LAYER_NORM_EPS)
         out = torch.addcmul(affine.offset, normal, affine.gain)
+        out = (out.relu_() if self.relu else out).to(x.dtype)
         if tape is not None:
             tape.append(_Normed(rows, normal, mean, rstd, out))
-        if self.activation is not None:
-            out = F.relu(out) if self.activation == "relu" else F.silu(out)
-        return out.to(x.dtype)
+        return out
 
     def backward(
         self, weights: Weights, grads: Weights | None, kept: _Compiled | _Normed, grad: Tensor
@@ -101,24 +88,15 @@ class Norm:
         if isinstance(kept, _Compiled):
             grad = grad.contiguous()
             into_x = torch.empty_like(grad)
-            wanted, by_affine = into is not None, (into or affine).arrays
-            gain, offset, bias = affine.arrays
-            if self.activation == "silu":
-                _silu_kernels().backward(
-                    _raw(grad), kept.x, kept.stats, gain, offset, bias, wanted,
-                    _raw(into_x), *by_affine,
-                )  # fmt: skip
-            else:
-                _kernels().backward(
-                    _raw(grad), *kept, gain, bias, affine.bias is not None,
-                    self.activation == "relu", wanted, _raw(into_x), *by_affine,
-                )  # fmt: skip
+            gain, _, bias = affine.arrays
+            _kernels().backward(
+                _raw(grad), *kept, gain, bias, affine.bias is not None, self.relu,
+                into is not None, _raw(into_x), *(into or affine).arrays,
+            )  # fmt: skip
             return into_x
+        if self.relu:
+            grad = _aten.threshold_backward(grad, kept.out, 0)
         kind, grad = grad.dtype, grad.to(affine.gain.dtype)
-        if self.activation == "relu":
-            grad = _aten.threshold_backward(grad, kept.affine, 0)
-        elif self.activation == "silu":
-            grad = _aten.silu_backward(grad, kept.affine)
         if into is not None:
             sum_rows(grad * kept.normal, into.gain)
             sum_rows(grad, into.offset)
@@ -130,26 +108,12 @@ class Norm:
             sum_rows(through, into.bias)
         return through.to(kind)
 
-    def _fits_kernels(self, x: Tensor, affine: Affine) -> bool:
-        if not self.compiled or x.dim() != 3 or not x.is_cpu:
-            return False
-        if self.activation == "silu":
-            return x.dtype == torch.float32 and affine.bias is not None
-        return x.dtype != torch.float64
-
 
 @functools.cache
 def _kernels() -> Any:
     from a2s.learner.networks import kernels  # half a second: only who needs it
 
     return kernels
-
-
-@functools.cache
-def _silu_kernels() -> Any:
-    from a2s.learner.networks import silu_kernels
-
-    return silu_kernels
 
 
 def _raw(x: Tensor) -> Array:

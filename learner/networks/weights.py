@@ -8,6 +8,9 @@ from torch import Tensor
 
 from a2s.protocol.fields import Array
 
+# Columns of `Form.layout`.
+ROWS, COLUMNS, WEIGHT, BIAS, GAIN, OFFSET = range(6)
+
 
 @dataclasses.dataclass(frozen=True)
 class Affine:

@@ -19,8 +19,6 @@ from a2s.protocol.errors import A2SError
 ActionMode = Literal["clip", "raw"]
 SuggesterMode = Literal["first", "hard", "soft"]
 
-_ROWS_PER_CALL = 1024
-
 
 class Suggester:
     """Normaliser, policy, K suggestions, Q, selection and action bounds.
@@ -151,13 +149,6 @@ def q_scores(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
     if q_net.single:
         return q_net.score(norm_obs, action)
     return categorical.score(q_net, norm_obs, action)
-
-
-def score_in_parts(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
-    """As `q_scores`, a cacheful at a time."""
-    parts = math.ceil(action.shape[0] * action.shape[1] / _ROWS_PER_CALL)
-    pairs = zip(norm_obs.chunk(parts), action.chunk(parts), strict=True)
-    return torch.cat([q_scores(q_net, *pair) for pair in pairs])
 
 
 def _preferences(q_value: Tensor, inverse_temperature: float) -> Tensor:

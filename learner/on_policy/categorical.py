@@ -4,12 +4,17 @@ Source: Imani and White 2018 (HL-Gauss); Farebrother et al. 2024, "Stop regressi
 """
 
 import math
+from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.compiled import run_together
 from a2s.learner.networks.ensemble import Ensemble
+from a2s.learner.on_policy import fit_kernels
 
+_ROWS_AT_ONCE = 512
 BINS, HALF_RANGE = 51, 12.0
 WIDTH = 2.0 * HALF_RANGE / (BINS - 1)
 _SIGMA = 0.75 * WIDTH
@@ -34,23 +39,20 @@ def spread(target: Tensor) -> Tensor:
     return chance / chance.sum(-1, keepdim=True)
 
 
-def mean(logits: Tensor) -> Tensor:
-    """Expected value, ``[..., BINS]`` to ``[...]``."""
-    return logits.softmax(-1) @ centres(logits)
-
-
+@torch.no_grad()
 def score(q_net: Ensemble, norm_obs: Tensor, action: Tensor) -> Tensor:
     """Mean of all members' expected values, ``[N, D]`` and ``[N, K, A]`` to ``[N, K]``."""
-    logits = q_net.outputs(norm_obs, action.expand(q_net.members, *action.shape))
-    return mean(logits).mean(0)
-
-
-def loss_and_slope(logits: Tensor, chance: Tensor) -> tuple[Tensor, Tensor]:
-    """Cross-entropy, mean over rows and sum over members, and its gradient by the logits.
-
-    Logits ``[E, N, BINS]``, chances ``[N, BINS]``.
-    """
-    log_chance = logits.log_softmax(-1)
-    rows = logits.shape[-2]
-    loss = -(chance * log_chance).sum() / rows
-    return loss, (log_chance.exp() - chance) / rows
+    into = np.zeros((q_net.members, action.shape[0] * action.shape[1]), np.float32)
+    room = max(_ROWS_AT_ONCE // action.shape[1], 1)
+    value, obs = q_net.value.numpy(), norm_obs.contiguous().numpy()
+    flat, middle = action.flatten(0, 1).contiguous().numpy(), centres(norm_obs).numpy()
+    run_together(
+        [
+            partial(
+                fit_kernels.expected, value, q_net.form.layout(q_net.members, member), obs, flat,
+                middle, room, into[member],
+            )
+            for member in range(q_net.members)
+        ]
+    )  # fmt: skip
+    return torch.from_numpy(into.mean(0)).view(action.shape[:2])

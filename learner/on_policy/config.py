@@ -157,9 +157,7 @@ class OnPolicyConfig(Settings):
         200, "Gradient steps of Q in an update of a full batch", "measured", low=1
     )
     q_minibatch: int = setting(256, "Steps in a minibatch: Q", "as the policy", low=1)
-    retrace_lambda: float = setting(
-        0.95, "Of Q's targets, by Retrace", "as gae_lambda", low=0e0, high=1
-    )
+    q_lambda: float = setting(0.95, "Of Q's targets, by V-trace", "as gae_lambda", low=0e0, high=1)
     recovery: RecoveryRule = setting(
         "invariant",
         "Equation 5: ``off``, as the ``authors`` have it, or ``invariant`` to scale and sign",

@@ -4,14 +4,18 @@ Source: section 4.1.1 of the paper, "we take multiple gradient steps for value n
 network".
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
+from a2s.learner.networks.compiled import run_together, vectors
 from a2s.learner.networks.ensemble import Ensemble
-from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy import categorical, fit_kernels
+from a2s.protocol.fields import Array
 
 
 class Fits(NamedTuple):
@@ -68,16 +72,27 @@ def fit_value(
     pass.
     """
     count = num_minibatches(len(target), minibatch, min_minibatches)
-    total = torch.zeros(())
-    for _ in range(epochs):
-        order = torch.randperm(len(target), generator=generator)
-        pairs = zip(
-            value.inputs[order].tensor_split(count), target[order].tensor_split(count), strict=True
-        )
-        total.zero_()
-        for inputs, wanted in pairs:
-            total += value.step(inputs, wanted, learning_rate, max_grad_norm)
-    return Fits(value_loss=float(total / count), value_fit_steps=epochs * count)
+    optimiser, ends = value.optimiser, bounds(len(target), count)
+    net = vectors(optimiser, value.network, value.network.grad)
+    inputs, wanted, loss = value.inputs.numpy(), target.numpy(), 0.0
+    for made in range(epochs):
+        order = torch.randperm(len(target), generator=generator).numpy()
+        step = int(optimiser.steps) + made * count
+        (loss,) = run_together(
+            [
+                partial(
+                    fit_kernels.value_pass, net, inputs, wanted, order, ends, step,
+                    learning_rate, max_grad_norm,
+                )
+            ]
+        )  # fmt: skip
+    optimiser.steps += epochs * count
+    return Fits(value_loss=loss / count, value_fit_steps=epochs * count)
+
+
+def bounds(rows: int, count: int) -> Array:
+    """Ends of so many nearly equal parts of so many rows, and a 0 before them, int64."""
+    return np.linspace(0, rows, count + 1).round().astype(np.int64)
 
 
 @torch.no_grad()
@@ -97,13 +112,17 @@ def fit_q(
     Returns:
         Mean cross-entropy of a member, nats.
     """
-    chance = categorical.spread(target)
-    total = torch.zeros(())
-    for _ in range(steps):
-        rows = torch.randint(len(target), (minibatch,), generator=generator)
-        logits, tape = q_net.trace(inputs[rows])
-        loss, slope = categorical.loss_and_slope(logits, chance[rows])
-        q_net.differentiate(tape, slope)
-        optimiser.step(q_net.grad, learning_rate)
-        total += loss
-    return float(total) / steps / q_net.members
+    chance = categorical.spread(target).numpy()
+    order = torch.randint(len(target), (steps * minibatch,), generator=generator).numpy()
+    ends, before = bounds(len(order), steps), int(optimiser.steps)
+    losses = run_together(
+        [
+            partial(
+                fit_kernels.q_pass, vectors(optimiser, q_net, q_net.grad, member=member),
+                inputs.numpy(), chance, order, ends, before, learning_rate,
+            )
+            for member in range(q_net.members)
+        ]
+    )  # fmt: skip
+    optimiser.steps += steps
+    return float(sum(losses)) / steps / q_net.members

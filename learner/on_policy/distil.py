@@ -11,7 +11,7 @@ from torch import Tensor
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.gaussian import Policy
-from a2s.learner.on_policy.acting import ActionMode, as_q_sees, score_in_parts, suggest, take
+from a2s.learner.on_policy.acting import ActionMode, as_q_sees, suggest, take
 from a2s.learner.on_policy.policy import gaussian_kl
 
 
@@ -42,7 +42,7 @@ def distil_target(
     mean = policy(norm_obs)
     normal = torch.randn(len(mean), suggestions, mean.shape[1], generator=generator)
     candidates = as_q_sees(suggest(mean, policy.std(), normal), action_mode)
-    return take(candidates, score_in_parts(q_net, norm_obs, candidates).argmax(1))
+    return take(candidates, q_net.score(norm_obs, candidates).argmax(1))
 
 
 @torch.no_grad()

@@ -1,23 +1,25 @@
 """The policy gradient: densities, weights, PPO's loss, and the passes over the batch.
 
-With one pass over the whole batch at once it is A2C's gradient, see `clipped_loss`.
+With one pass over the whole batch at once it is A2C's gradient, see `fit_kernels.clipped_loss`.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy, log_density
-from a2s.learner.on_policy.critics import num_minibatches
+from a2s.learner.networks.compiled import run_together, vectors
+from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy
+from a2s.learner.on_policy import fit_kernels
+from a2s.learner.on_policy.critics import bounds, num_minibatches
 from a2s.learner.on_policy.returns import RESOLUTION
 
-# Reached only by suggestions that no policy makes: 0 / 0 and infinity * 0 would end the learning.
-MIN_WEIGHT, MAX_LOG_RATIO = 1e-30, 20.0
-_BY_ROW = ("obs", "action", "log_prob", "advantage", "weight", "mean", "wanted")
+# Reached only by suggestions that no policy makes: 0 / 0 would end the learning.
+MIN_WEIGHT = 1e-30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,6 +34,12 @@ class PolicyData:
     mean: Tensor  # of that policy, [N, A]
     log_std: Tensor  # of that policy, [A]
     wanted: Tensor | None = None  # what suggestions want the mean to be, [N, A]; None: no pull
+
+    def learned_from(self) -> tuple[Tensor, ...]:
+        """As the compiled passes have it."""
+        return (
+            self.obs, self.action, self.log_prob, self.advantage, self.weight, self.log_std
+        )  # fmt: skip
 
 
 class PolicyChange(NamedTuple):
@@ -87,28 +95,6 @@ def normalised(advantage: Tensor, weight: Tensor) -> Tensor:
     return (centred / spread.clamp(min=MIN_WEIGHT)).to(advantage.dtype)
 
 
-def clipped_loss(
-    log_prob: Tensor, old_log_prob: Tensor, advantage: Tensor, weight: Tensor, clip: float
-) -> tuple[Tensor, Tensor]:
-    """Loss whose gradient is minus the policy gradient, the ratio of densities clipped.
-
-    In the first step the ratio is 1 and the gradient that of ``-log_prob * advantage``, which is
-    A2C's loss: equation 4 of the paper. ``policy_epochs=1`` and ``policy_minibatch=0`` make no
-    other step.
-
-    Returns:
-        The loss, a scalar, and its derivative by ``log_prob``, ``[M]`` like the arguments.
-
-    Source: Schulman et al. 2017, equation 7.
-    """
-    worth = weight * advantage
-    ratio = (log_prob - old_log_prob).clamp(max=MAX_LOG_RATIO).exp()
-    free = ratio * worth
-    limited = ratio.clamp(1.0 - clip, 1.0 + clip) * worth
-    slope = free * (free <= limited) / -free.numel()
-    return -torch.minimum(free, limited).mean(), slope
-
-
 def improve(
     policy: Policy,
     optimiser: Adam,
@@ -132,79 +118,26 @@ def improve(
     the whole batch, in its order; ``max_grad_norm`` 0: not limited.
     """
     count = num_minibatches(len(data.obs), minibatch, min_minibatches)
-    total, kl, passes = torch.zeros(2), 0.0, 0
+    ends, net = bounds(len(data.obs), count), vectors(optimiser, policy.network, policy.grad)
+    how = fit_kernels.Surrogate(
+        clip_ratio, entropy_weight, pull, math.log(std_floor) if std_floor > 0 else -math.inf
+    )
+    wanted = data.obs[:0] if data.wanted is None else data.wanted
+    arrays = tuple(each.numpy() for each in data.learned_from())
+    losses, kl, passes = (0.0, 0.0), 0.0, 0
     while passes < epochs and kl <= kl_stop:
+        order = torch.arange(len(data.obs))
+        if count > 1:
+            order = torch.randperm(len(data.obs), generator=generator)
+        run = partial(
+            fit_kernels.policy_pass, net, arrays, wanted.numpy(), how, order.numpy(), ends,
+            int(optimiser.steps), learning_rate, max_grad_norm,
+        )  # fmt: skip
+        (losses,) = run_together([run])
+        optimiser.steps += count
         passes += 1
-        total.zero_()
-        for part in _minibatches(data, count, generator):
-            mean, tape = policy.trace(part.obs)
-            loss, grad_mean, grad_log_std = differentiate(
-                mean, policy.log_std, part, clip_ratio, entropy_weight
-            )
-            if part.wanted is not None:
-                apart = pull_loss(mean, policy.log_std, part.wanted, part.log_std)
-                grad_mean += pull * apart.by_mean
-                grad_log_std += pull * apart.by_log_std
-                total[1] += apart.loss
-            policy.differentiate(tape, grad_mean, grad_log_std)
-            optimiser.step(policy.grad, learning_rate, max_grad_norm)
-            policy.hold_floor(std_floor)
-            total[0] += loss
-        with torch.no_grad():
-            moved = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
-            kl = float(moved.sum(1).mean())
-    policy_loss, distil_loss = (total / count).tolist()
+        moved = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
+        kl = float(moved.sum(1).mean())
+    policy_loss, pull_loss = (each / count for each in losses)
     steps = passes * count if data.wanted is not None else 0
-    return PolicyChange(policy_loss, passes, kl, distil_loss=distil_loss, distil_steps=steps)
-
-
-@torch.no_grad()
-def differentiate(
-    mean: Tensor, log_std: Tensor, part: PolicyData, clip_ratio: float, entropy_weight: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Loss of a policy on some data, by its means ``[M, A]`` and log deviation, and its gradient.
-
-    Returns:
-        The loss without the bonus, a scalar; the gradient of the loss less the bonus by the mean,
-        ``[M, A]``, and by the log deviation, ``[A]``.
-    """
-    factor = (-log_std).exp()
-    z = (part.action - mean) * factor
-    log_prob = log_density(z, log_std)
-    loss, slope = clipped_loss(log_prob, part.log_prob, part.advantage, part.weight, clip_ratio)
-    steep = slope.unsqueeze(1)
-    grad_log_std = (steep * z.square()).sum(0) - slope.sum() - entropy_weight
-    return loss, steep * z * factor, grad_log_std
-
-
-class PullLoss(NamedTuple):
-    """The loss of equation 6, and its gradient."""
-
-    loss: Tensor  # a scalar
-    by_mean: Tensor  # [M, A]
-    by_log_std: Tensor  # [A]
-
-
-@torch.no_grad()
-def pull_loss(mean: Tensor, log_std: Tensor, wanted: Tensor, old_log_std: Tensor) -> PullLoss:
-    """KL(wanted || policy) in nats, mean over states: means ``[M, A]``, log deviations ``[A]``.
-
-    What is wanted has the deviation of the policy before: equation 6 is about the mean.
-    """
-    precision = (-2.0 * log_std).exp()
-    apart = mean - wanted
-    normal = precision * ((2.0 * old_log_std).exp() + apart.square())
-    loss = (0.5 * (normal - 1.0) + log_std - old_log_std).sum(1).mean()
-    return PullLoss(loss, precision * apart / len(mean), (1.0 - normal).mean(0))
-
-
-def _minibatches(data: PolicyData, count: int, generator: torch.Generator) -> Iterator[PolicyData]:
-    """One pass over the data in a new order; the data itself where it is one step."""
-    if count == 1:
-        yield data
-        return
-    order = torch.randperm(len(data.obs), generator=generator)
-    names = [name for name in _BY_ROW if getattr(data, name) is not None]
-    parts = [getattr(data, name)[order].tensor_split(count) for name in names]
-    for part in zip(*parts, strict=True):
-        yield replace(data, **dict(zip(names, part, strict=True)))
+    return PolicyChange(policy_loss, passes, kl, distil_loss=pull_loss, distil_steps=steps)

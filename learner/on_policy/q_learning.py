@@ -1,4 +1,4 @@
-"""What Q learns: Retrace on the window of latest batches, under the present policy."""
+"""What Q learns: V-trace on the window of latest batches, under the present policy."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.gaussian import log_density
-from a2s.learner.on_policy.acting import as_q_sees, score_in_parts, suggest
+from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy.acting import as_q_sees
 from a2s.learner.on_policy.batch import Batch
-from a2s.learner.on_policy.returns import bootstrap, explained_variance, retrace
+from a2s.learner.on_policy.returns import bootstrap, v_trace
 from a2s.learner.on_policy.state import TrainState
 
 OUTPUT_STD = 3.0  # of Q's outputs: their range is four deviations of the returns to either side
@@ -18,64 +19,45 @@ class QTargets(NamedTuple):
     """Inputs of Q for every step of the window, and what it is to answer."""
 
     inputs: Tensor  # [N, D + A]
-    predicted: Tensor  # by Q before it learns from them, in returns, [N]
     target: Tensor  # in returns, [N]
-
-    def explained_variance(self, newest: int) -> float:
-        """What Q foresaw of the targets of the newest steps, which it had not seen."""
-        return explained_variance(self.predicted[-newest:], self.target[-newest:])
 
 
 @torch.no_grad()
-def q_targets(
-    window: Batch,
-    state: TrainState,
-    *,
-    gamma: float,
-    retrace_lambda: float,
-    draws: int,
-    generator: torch.Generator,
-) -> QTargets:
+def q_targets(window: Batch, state: TrainState, *, gamma: float, lam: float) -> QTargets:
     """Estimate what each executed action of the window is worth under the present policy.
 
-    The value of a state is the mean of Q over ``draws`` actions of the policy.
+    Q has no part in its own targets, V does: an error of Q dies with the targets that it was
+    fitted to, and nothing has to be asked of Q for the whole window (docs/adr/0023).
     """
     steps = window.num_steps
     norm_obs = state.normaliser(torch.cat([window.obs, window.final_obs]))
-    mean = state.policy(norm_obs)
-    normal = torch.randn(len(mean), draws, mean.shape[1], generator=generator)
-    drawn = suggest(mean, state.policy.std(), normal)
-    executed = torch.cat([window.suggestion, mean[steps:]])  # the latter are not read
-    action = as_q_sees(torch.cat([drawn, executed.unsqueeze(1)], 1), "clip")
-    scores = in_returns(state, score_in_parts(state.q_net, norm_obs, action))
-    value, q_value = scores[:, :draws].mean(1), scores[:steps, draws]
+    value = state.returns.restore(state.value_net(norm_obs).squeeze(1))
     log_std = state.policy.log_std
-    apart = (window.suggestion - mean[:steps]) * (-log_std).exp()
-    target = retrace(
+    apart = (window.suggestion - state.policy(norm_obs[:steps])) * (-log_std).exp()
+    target = v_trace(
         window,
-        q_value,
         value[:steps],
         bootstrap(window, value[steps:], time_limit_is_terminal=False),
         (log_density(apart, log_std) - window.log_prob).exp(),
         gamma=gamma,
-        lam=retrace_lambda,
+        lam=lam,
     )
-    return QTargets(torch.cat([norm_obs[:steps], action[:steps, draws]], 1), q_value, target)
+    return QTargets(torch.cat([norm_obs[:steps], as_q_sees(window.suggestion, "clip")], 1), target)
 
 
-def advantage_over_mean(state: TrainState, norm_obs: Tensor, action: Tensor) -> Tensor:
-    """By how much Q finds an action better than the mean action, in returns.
+class Opinion(NamedTuple):
+    """What Q says of executed actions, in returns, ``[N]`` each."""
 
-    Observations ``[N, D]`` and suggestions ``[N, A]`` to ``[N]``.
-    """
+    value: Tensor
+    over_mean: Tensor  # by how much it finds them better than the mean action
+
+
+def opinion(state: TrainState, norm_obs: Tensor, action: Tensor) -> Opinion:
+    """Ask Q about observations ``[N, D]`` and suggestions ``[N, A]``."""
     both = as_q_sees(torch.stack([action, state.policy(norm_obs)], 1), "clip")
-    score = score_in_parts(state.q_net, norm_obs, both)
-    return (score[:, 0] - score[:, 1]) * (state.returns.std / OUTPUT_STD)
-
-
-def in_returns(state: TrainState, output: Tensor) -> Tensor:
-    """Outputs of Q to returns."""
-    return state.returns.restore(output / OUTPUT_STD)
+    executed, mean = categorical.score(state.q_net, norm_obs, both).unbind(1)
+    difference = (executed - mean) * (state.returns.std / OUTPUT_STD)
+    return Opinion(state.returns.restore(executed / OUTPUT_STD), difference)
 
 
 def in_outputs(state: TrainState, returns: Tensor) -> Tensor:

@@ -65,32 +65,29 @@ def lambda_estimates(
     return Estimates(advantage, advantage + value)
 
 
-def retrace(
-    batch: Batch,
-    q_value: Tensor,
-    value: Tensor,
-    after: Tensor,
-    ratio: Tensor,
-    *,
-    gamma: float,
-    lam: float,
+def v_trace(
+    batch: Batch, value: Tensor, after: Tensor, ratio: Tensor, *, gamma: float, lam: float
 ) -> Tensor:
-    """Targets of Q under a policy that did not play all of the batch, ``[N]``.
+    """Targets of Q of the executed actions under a policy that did not play all of the batch.
 
-    ``q_value`` is Q of the executed actions and ``value`` its mean over the policy's, ``[N]``;
-    ``after`` is from `bootstrap`, ``ratio`` the policy's density over the executed one, ``[N]``.
+    ``value`` is V of every observation, ``after`` from `bootstrap`, ``ratio`` the policy's density
+    over the executed one, all ``[N]`` like the targets. Where the ratios are 1 the targets are
+    those of `lambda_estimates`.
 
-    Source: Munos et al. 2016, "Safe and efficient off-policy reinforcement learning", equation 3
-    and table 1 (``lam * min(1, ratio)``).
+    Source: Espeholt et al. 2018, "IMPALA", equation 1, and what remark 1 says of lambda; of Q
+    section 4.2: the reward, and the discounted target of what follows.
     """
     last = batch.last
-    keep = gamma * lam * ratio.clamp(max=1.0)
-    decay = torch.cat([keep[1:], keep.new_zeros(1)])
-    decay[last] = 0.0
     following = torch.cat([value[1:], value.new_zeros(1)])
     following[last] = after
-    next_q = torch.cat([q_value[1:], q_value.new_zeros(1)])
-    return decayed_sums(batch.reward + gamma * following - decay * next_q, decay)
+    ahead = batch.reward + gamma * following
+    limited = ratio.clamp(max=1.0)
+    decay = gamma * lam * limited
+    decay[last] = 0.0
+    correction = decayed_sums(limited * (ahead - value), decay)
+    next_correction = torch.cat([correction[1:], correction.new_zeros(1)])
+    next_correction[last] = 0.0
+    return ahead + gamma * lam * next_correction
 
 
 class ReturnScale:

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.ensemble import Ensemble
-from a2s.learner.on_policy.acting import as_q_sees, score_in_parts, suggest
+from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy.acting import as_q_sees, suggest
 
 _BISECTIONS = 24
 
@@ -46,7 +47,7 @@ def pull_of_suggestions(
     """
     normal = torch.randn(len(mean), suggestions, mean.shape[1], generator=generator)
     action = suggest(mean, std, normal)
-    score = score_in_parts(q_net, norm_obs, as_q_sees(action, "clip"))
+    score = categorical.score(q_net, norm_obs, as_q_sees(action, "clip"))
     inverse = limited_inverse_temperature(score, factor / temperature, least_share)
     weight = (inverse * score).softmax(1)
     tilt = (weight - 1.0 / suggestions).unsqueeze(2)

@@ -19,19 +19,19 @@ from a2s.learner.on_policy.policy import PolicyChange, PolicyData, importance, i
 from a2s.learner.on_policy.q_learning import (
     OUTPUT_STD,
     QTargets,
-    advantage_over_mean,
     in_outputs,
+    opinion,
     q_targets,
 )
 from a2s.learner.on_policy.recovery import Recovery
+from a2s.learner.on_policy.returns import explained_variance
 from a2s.learner.on_policy.state import TrainState
 from a2s.learner.on_policy.stats import UpdateStats, update_stats
 from a2s.learner.on_policy.suggestions import Pull, pull_of_suggestions
-from a2s.learner.on_policy.targets import estimate_targets
+from a2s.learner.on_policy.targets import Targets, estimate_targets
 
 # Bounds of the rule `kl`, by the first learning rate.
 _MIN_LEARNING_RATE, _MAX_LEARNING_RATE = 1 / 50, 6.0
-_Q_DRAWS = 2  # of the policy, for the value of a state by Q
 _MIN_INVERSE_TEMPERATURE = 1e-6  # as good as none, but the best of K stays the best
 
 
@@ -125,13 +125,10 @@ class OnPolicy(TrainState):
         critic_rate, q_rate = config.critic_learning_rate * left, config.q_learning_rate * left
         if not recovers:
             data = self._policy_data(batch, old_mean, targets.advantage)
-            wanted = self._ask_q(batch, data, targets.advantage) if config.uses_q else None
-            if wanted is not None:
-                targets = replace(
-                    targets,
-                    q_explained_variance=wanted.explained_variance(batch.num_steps),
-                    q_action_correlation=self.calibration.correlation,
-                )
+            wanted = None
+            if config.uses_q:
+                targets = self._ask_q(data, targets)
+                wanted = self._q_targets(batch)
             self.returns.update(targets.target)
             fits = self._fit_value(data.obs, targets.target, critic_rate)
             if wanted is not None:
@@ -161,23 +158,23 @@ class OnPolicy(TrainState):
             log_std=log_std,
         )
 
-    def _ask_q(self, batch: Batch, data: PolicyData, advantage: Tensor) -> QTargets:
-        """Compare what Q says of the batch with what happened; make Q's targets with it.
-
-        Q has not seen the batch. ``advantage`` is not normalised.
-        """
-        if self.q_trusted:
-            said = advantage_over_mean(self, data.obs, data.action)
-            self.calibration.update(said, advantage, data.weight)
-        self.window.add(batch)
-        return q_targets(
-            self.window.joined(),
-            self,
-            gamma=self.config.gamma,
-            retrace_lambda=self.config.retrace_lambda,
-            draws=_Q_DRAWS,
-            generator=self.generators["q"],
+    def _ask_q(self, data: PolicyData, targets: Targets) -> Targets:
+        """Compare what Q says of the batch, which it has not seen, with what happened."""
+        if not self.q_trusted:
+            return targets
+        said = opinion(self, data.obs, data.action)
+        self.calibration.update(said.over_mean, targets.advantage, data.weight)
+        return replace(
+            targets,
+            q_explained_variance=explained_variance(said.value, targets.target),
+            q_action_correlation=self.calibration.correlation,
         )
+
+    def _q_targets(self, batch: Batch) -> QTargets:
+        """Take the batch into the window, and make targets for all of it."""
+        self.window.add(batch)
+        config = self.config
+        return q_targets(self.window.joined(), self, gamma=config.gamma, lam=config.q_lambda)
 
     def _fit_value(self, norm_obs: Tensor, target: Tensor, learning_rate: float) -> Fits:
         config = self.config

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from a2s.learner.on_policy import categorical
+from a2s.learner.on_policy import categorical, fit_kernels
 from a2s.learner.on_policy.categorical import BINS, HALF_RANGE, WIDTH
 from a2s.learner.on_policy.state import make_q
 
@@ -30,31 +30,26 @@ def test_a_target_beyond_the_range_is_its_end() -> None:
     assert int(found[0].argmax()) == BINS - 1
 
 
-def test_mean_of_logits_by_hand() -> None:
-    """Two values that are equally likely, and all of them."""
-    logits = torch.full((2, BINS), -1e9)
-    logits[0, 0] = logits[0, 10] = 0.0
-    logits[1] = 5.0
-    expected = torch.tensor([-HALF_RANGE + 5 * WIDTH, 0.0])
-    torch.testing.assert_close(categorical.mean(logits), expected, atol=1e-5, rtol=0.0)
-
-
-def test_slope_is_that_of_autograd() -> None:
-    """Of the cross-entropy, summed over the members."""
-    logits = torch.randn(2, 9, BINS, requires_grad=True)
-    chance = categorical.spread(torch.randn(9))
-    expected = -(chance * logits.log_softmax(-1)).sum(-1).mean(1).sum()
+def test_cross_entropy_and_its_slope_are_those_of_autograd() -> None:
+    """Mean over rows that are given by their numbers, one of them twice."""
+    logits = (9.0 * torch.randn(9, BINS)).requires_grad_()
+    chance, rows = categorical.spread(torch.randn(20)), torch.tensor([3, 3, *range(10, 17)])
+    expected = -(chance[rows] * logits.log_softmax(-1)).sum(-1).mean()
     expected.backward()  # type: ignore[no-untyped-call]
-    loss, slope = categorical.loss_and_slope(logits.detach(), chance)
-    torch.testing.assert_close(loss, expected.detach())
-    torch.testing.assert_close(slope, logits.grad)
+    slope = logits.detach().numpy().copy()
+    found = fit_kernels.cross_entropy(slope, chance.numpy(), rows.numpy())
+    assert found == pytest.approx(float(expected.detach()), rel=1e-5)
+    torch.testing.assert_close(torch.from_numpy(slope), logits.grad)
 
 
-def test_score_is_the_mean_of_both_critics() -> None:
-    """One call for all K; each action for itself gives the same."""
+@pytest.mark.parametrize(("states", "count"), [(7, 4), (700, 3), (2, 1000)])
+def test_score_is_the_mean_of_both_critics(states: int, count: int) -> None:
+    """One call for all K; each action for itself gives the same; more than fit in at once."""
     q_net = make_q(5, (16, 16), torch.Generator().manual_seed(0))
-    obs, action = torch.randn(7, 3), torch.randn(7, 4, 2)
+    q_net.value += 0.3 * torch.randn(len(q_net.value))
+    obs, action = torch.randn(states, 3), torch.randn(states, count, 2)
     found = categorical.score(q_net, obs, action)
-    for k in range(4):
-        logits = q_net(torch.cat([obs, action[:, k]], 1))
-        torch.testing.assert_close(found[:, k], categorical.mean(logits).mean(0))
+    joined = torch.cat([obs.unsqueeze(1).expand(-1, count, -1), action], 2).flatten(0, 1)
+    values = torch.linspace(-HALF_RANGE, HALF_RANGE, BINS)
+    expected = (q_net(joined).softmax(-1) @ values).mean(0).view(states, count)
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)

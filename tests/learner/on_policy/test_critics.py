@@ -78,7 +78,8 @@ def test_q_learns_what_it_is_told() -> None:
         )
         for steps in (1, 600, 1)
     ]
-    wrong = categorical.mean(q_net(inputs)) - target
+    values = torch.linspace(-categorical.HALF_RANGE, categorical.HALF_RANGE, categorical.BINS)
+    wrong = q_net(inputs).softmax(-1) @ values - target
     assert wrong.shape == (2, 512)
     assert float(wrong.abs().mean()) < 0.2
     assert losses[0] == pytest.approx(math.log(categorical.BINS), abs=0.3)
@@ -95,3 +96,39 @@ def test_minibatches_are_nearly_equal(
 ) -> None:
     """A short last minibatch would count as much as a whole one."""
     assert num_minibatches(rows, minibatch, at_least) == expected
+
+
+def test_steps_are_those_of_the_layers() -> None:
+    """Two passes over V, three steps of Q: losses and parameters, against layers and Adam."""
+    generator = torch.Generator().manual_seed(0)
+    inputs, target = torch.randn(50, 4, generator=generator), torch.randn(50, generator=generator)
+    form = Form((4, 16, 8, 1), activation="tanh", layer_norm=True)
+    flat = form.draw(1, generator, init="orthogonal")
+    nets = [Ensemble(form, flat.clone(), single=True) for _ in range(2)]
+    jobs = [Regression(net, Adam(net.value), inputs) for net in nets]
+    found = fit(jobs[0], target, 2, 1e-2)
+    order = torch.Generator().manual_seed(5)
+    for _ in range(2):
+        rows, losses = torch.randperm(50, generator=order), []
+        for some in (rows[:25], rows[25:]):
+            losses.append(float(jobs[1].step(inputs[some], target[some], 1e-2)))
+    assert found.value_loss == pytest.approx(sum(losses) / 2, rel=1e-4)
+    torch.testing.assert_close(nets[0].value, nets[1].value, rtol=0.0, atol=1e-4)
+    torch.testing.assert_close(jobs[0].optimiser.steps, jobs[1].optimiser.steps)
+
+    both = [make_q(4, (16, 8), torch.Generator().manual_seed(1)) for _ in range(2)]
+    adams = [Adam(each.value) for each in both]
+    loss = fit_q(
+        both[0], adams[0], inputs, target, steps=3, minibatch=20, learning_rate=1e-2,
+        generator=torch.Generator().manual_seed(2),
+    )  # fmt: skip
+    chance, order = categorical.spread(target), torch.Generator().manual_seed(2)
+    total = 0.0
+    for rows in torch.randint(50, (60,), generator=order).view(3, 20):
+        logits, tape = both[1].trace(inputs[rows])
+        log_chance = logits.log_softmax(-1)
+        total -= float((chance[rows] * log_chance).sum()) / 20 / 2
+        both[1].differentiate(tape, (log_chance.exp() - chance[rows]) / 20)
+        adams[1].step(both[1].grad, 1e-2)
+    assert loss == pytest.approx(total / 3, rel=1e-4)
+    torch.testing.assert_close(both[0].value, both[1].value, rtol=0.0, atol=1e-4)

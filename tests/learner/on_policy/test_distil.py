@@ -9,7 +9,7 @@ from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.gaussian import Policy
 from a2s.learner.on_policy import state
-from a2s.learner.on_policy.acting import ActionMode, score_in_parts
+from a2s.learner.on_policy.acting import ActionMode
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.distil import (
     distil_loss,
@@ -65,13 +65,6 @@ def test_more_suggestions_come_nearer() -> None:
     """The target is an operator of improvement."""
     errors = [float((target_of(k) - 0.3).square().mean()) for k in (1, 4, 16, 64)]
     assert errors == sorted(errors, reverse=True)
-
-
-def test_scores_in_parts_are_scores() -> None:
-    """Neither 777 x 7 nor its parts are a multiple of the size of a part."""
-    q_net = state.make_critic(6, (128, 64), OnPolicyConfig(), torch.Generator().manual_seed(0))
-    obs, action = torch.randn(777, 4), torch.randn(777, 7, 2)
-    torch.testing.assert_close(score_in_parts(q_net, obs, action), q_net.score(obs, action))
 
 
 def test_loss_by_hand() -> None:

@@ -1,6 +1,7 @@
 """Densities, weights, losses and passes of the policy gradient."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -12,17 +13,15 @@ from a2s.learner.networks.gaussian import Policy, log_density
 from a2s.learner.on_policy import state
 from a2s.learner.on_policy.acting import log_preference, select_soft, take
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.on_policy.fit_kernels import clipped_loss
 from a2s.learner.on_policy.policy import (
     PolicyChange,
     PolicyData,
-    clipped_loss,
-    differentiate,
     entropy,
     gaussian_kl,
     importance,
     improve,
     normalised,
-    pull_loss,
 )
 
 
@@ -59,14 +58,8 @@ def test_kl_agrees_with_the_textbook() -> None:
 )
 def test_clip_loss_by_hand(ratio: float, advantage: float, loss: float, slope: float) -> None:
     """Only gains are limited."""
-    log_prob = torch.tensor([ratio]).log()
-    worth = torch.tensor([advantage])
-    for weight in (1.0, 3.0):
-        found, steepness = clipped_loss(
-            log_prob, torch.zeros(1), worth, torch.full((1,), weight), 0.2
-        )
-        assert float(found) == pytest.approx(weight * loss)
-        assert float(steepness) == pytest.approx(weight * slope)
+    found = clipped_loss(math.log(ratio), 0.0, advantage, 0.2)
+    assert found == pytest.approx((loss, slope))
 
 
 def test_weights_undo_the_selection_up_to_their_limit() -> None:
@@ -107,9 +100,7 @@ def test_weights_make_the_gradient_that_of_the_policy(weighed: bool) -> None:
     log_prob = density_of(mean, log_std, action)
     executed = log_prob.detach() + log_preference(candidate[..., 0], index, 2.0)
     weight = importance(log_prob.detach(), executed, 50.0 if weighed else 0.0)
-    drawn = log_prob.detach()
-    _, slope = clipped_loss(drawn, drawn, torch.ones(40_000), weight, 0.2)
-    (gradient,) = torch.autograd.grad(log_prob, mean, slope)
+    (gradient,) = torch.autograd.grad(-(weight * log_prob).mean(), mean)
     if weighed:
         assert float(-gradient.sum()) == pytest.approx(0.0, abs=0.1)
     else:
@@ -148,6 +139,8 @@ def improved(
     minibatch: int = 256,
     pull: float = 0.0,
     std_floor: float = 0.15,
+    max_grad_norm: float = 0.5,
+    entropy_weight: float = 0.0,
 ) -> PolicyChange:
     """Improve with the rest as by default."""
     return improve(
@@ -159,41 +152,52 @@ def improved(
         min_minibatches=8,
         kl_stop=kl_stop,
         clip_ratio=0.2,
-        entropy_weight=0.0,
+        entropy_weight=entropy_weight,
         pull=pull,
         std_floor=std_floor,
         learning_rate=learning_rate,
-        max_grad_norm=0.5,
+        max_grad_norm=max_grad_norm,
         generator=torch.Generator().manual_seed(0),
     )
 
 
 @pytest.mark.parametrize("moved", [True, False])
-def test_gradient_is_that_of_autograd(moved: bool) -> None:
-    """Of the clipped loss and the entropy; in the first step the former is A2C's loss."""
-    generator = torch.Generator().manual_seed(0)
-    mean = torch.randn(50, 2, generator=generator, requires_grad=True)
-    log_std = torch.tensor([-0.5, -1.0], requires_grad=True)
-    action = mean.detach() + torch.randn(50, 2, generator=generator) * 0.5
-    log_prob = density_of(mean, log_std, action)
-    part = PolicyData(
-        obs=torch.zeros(50, 1),
-        action=action,
-        log_prob=log_prob.detach() + moved * 0.3 * torch.randn(50, generator=generator),
-        advantage=torch.randn(50, generator=generator),
-        weight=torch.rand(50, generator=generator),
-        mean=mean.detach(),
-        log_std=log_std.detach(),
+@pytest.mark.parametrize("pull", [0.0, 0.7])
+def test_gradient_is_that_of_autograd(moved: bool, pull: float) -> None:
+    """Of the clipped loss, the entropy and the pull; in the first step the former is A2C's loss."""
+    torch.manual_seed(0)
+    policy, data = make_policy(), data_of(make_policy(), 50)
+    data = dataclasses.replace(
+        data,
+        log_prob=data.log_prob + moved * 0.3 * torch.randn(50),
+        weight=torch.rand(50),
+        wanted=data.mean + 0.3 * torch.randn(50, 2) if pull else None,
     )
-    ratio = (log_prob - part.log_prob).exp()
-    clipped = torch.minimum(ratio * part.advantage, ratio.clamp(0.8, 1.2) * part.advantage)
-    gain = clipped if moved else log_prob * part.advantage
-    expected = -(part.weight * gain).mean()
-    torch.autograd.backward(expected - 0.1 * entropy(log_std))
-    found, grad_mean, grad_log_std = differentiate(mean.detach(), log_std.detach(), part, 0.2, 0.1)
-    torch.testing.assert_close(found, -(part.weight * clipped).mean().detach())
-    torch.testing.assert_close(grad_mean, mean.grad)
-    torch.testing.assert_close(grad_log_std, log_std.grad)
+    mean, tape = policy.trace(data.obs)
+    mean, log_std = mean.clone().requires_grad_(), policy.log_std.clone().requires_grad_()
+    log_prob = density_of(mean, log_std, data.action)
+    ratio = (log_prob - data.log_prob).exp()
+    clipped = torch.minimum(ratio * data.advantage, ratio.clamp(0.8, 1.2) * data.advantage)
+    gain = clipped if moved else log_prob * data.advantage
+    pulled = torch.zeros(())
+    if data.wanted is not None:
+        asked = Normal(data.wanted, data.log_std.exp())
+        pulled = kl_divergence(asked, Normal(mean, log_std.exp())).sum(1).mean()
+    loss = -(data.weight * gain).mean() - 0.1 * entropy(log_std) + pull * pulled
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert mean.grad is not None
+    assert log_std.grad is not None
+    policy.differentiate(tape, mean.grad, log_std.grad)
+    expected = policy.grad.clone()
+    found = improved(
+        policy, data, 1e-3, epochs=1, minibatch=0, pull=pull, kl_stop=1e9, max_grad_norm=0.0,
+        entropy_weight=0.1,
+    )  # fmt: skip
+    torch.testing.assert_close(policy.grad, expected, rtol=1e-4, atol=1e-5)
+    assert found.policy_loss == pytest.approx(
+        -float((data.weight * clipped.detach()).mean()), abs=1e-5
+    )
+    assert found.distil_loss == pytest.approx(float(pulled.detach()), rel=1e-4)
 
 
 @pytest.mark.parametrize(("epochs", "minibatch"), [(10, 256), (1, 0)])
@@ -229,20 +233,6 @@ def test_std_is_held_at_its_floor() -> None:
         std_floor=0.499,
     )
     torch.testing.assert_close(policy.std().detach(), torch.full((2,), 0.499))
-
-
-def test_pull_is_the_divergence_of_what_is_wanted() -> None:
-    """Against torch's distributions and autograd."""
-    generator = torch.Generator().manual_seed(0)
-    mean, wanted = torch.randn(2, 20, 2, generator=generator)
-    mean.requires_grad_()
-    log_std, old = torch.tensor([-0.5, -1.0], requires_grad=True), torch.tensor([-0.7, -0.9])
-    expected = kl_divergence(Normal(wanted, old.exp()), Normal(mean, log_std.exp())).sum(1).mean()
-    expected.backward()  # type: ignore[no-untyped-call]
-    found = pull_loss(mean.detach(), log_std.detach(), wanted, old)
-    torch.testing.assert_close(found.loss, expected.detach())
-    torch.testing.assert_close(found.by_mean, mean.grad)
-    torch.testing.assert_close(found.by_log_std, log_std.grad)
 
 
 @pytest.mark.parametrize("away", [0.0, 0.3])

@@ -13,7 +13,7 @@ from a2s.learner.on_policy.returns import (
     correlation,
     explained_variance,
     lambda_estimates,
-    retrace,
+    v_trace,
 )
 
 
@@ -69,28 +69,39 @@ def test_estimates_agree_with_the_definition(
     lam=st.floats(0.0, 1.0),
     seed=st.integers(0, 1000),
 )
-def test_retrace_agrees_with_the_sum_of_its_paper(
+def test_v_trace_agrees_with_the_sum_of_its_paper(
     lengths: list[int], gamma: float, lam: float, seed: int
 ) -> None:
-    """``Q + sum_t gamma^t c_1..c_t delta_t``, with ``c = lam min(1, ratio)``, written out."""
+    """``v = V + sum_t gamma^t c_1..c_(t-1) rho_t delta_t``, ``c = lam rho``; Q's: r + gamma v."""
     generator = torch.Generator().manual_seed(seed)
-    reward, q_value, value = torch.randn(3, sum(lengths), generator=generator)
+    reward, value = torch.randn(2, sum(lengths), generator=generator)
     ratio = 2.0 * torch.rand(sum(lengths), generator=generator)
     after = torch.randn(len(lengths), generator=generator)
     batch = batch_of(reward, lengths, [False] * len(lengths))
-    found = retrace(batch, q_value, value, after, ratio, gamma=gamma, lam=lam)
+    found = v_trace(batch, value, after, ratio, gamma=gamma, lam=lam)
     expected: list[float] = []
-    rows = _cut(lengths, reward, q_value, value, ratio)
-    for r, q, v, c, a in zip(*rows, after, strict=True):
+    for r, v, rho, a in zip(
+        *_cut(lengths, reward, value, ratio.clamp(max=1.0)), after, strict=True
+    ):
         following = torch.cat([v[1:], a.view(1)])
-        delta = r + gamma * following - q
+        delta = r + gamma * following - v
         for start in range(len(r)):
-            total, trace = float(q[start]), 1.0
-            for t in range(start, len(r)):
-                trace *= lam * min(1.0, float(c[t])) if t > start else 1.0
-                total += gamma ** (t - start) * trace * float(delta[t])
+            total, trace = float(r[start] + gamma * following[start]), gamma * lam
+            for t in range(start + 1, len(r)):
+                total += trace * float(rho[t] * delta[t])
+                trace *= gamma * lam * float(rho[t])
             expected.append(total)
     torch.testing.assert_close(found, torch.tensor(expected), atol=1e-4, rtol=1e-4)
+
+
+def test_v_trace_of_the_policy_that_played_is_lambda_estimates() -> None:
+    """Ratios of 1, and above."""
+    reward, value = torch.randn(2, 7)
+    after, batch = torch.randn(2), batch_of(reward, [3, 4], [False, False])
+    expected = lambda_estimates(batch, value, after, gamma=0.9, lam=0.7).target
+    for ratio in (1.0, 1.5):
+        found = v_trace(batch, value, after, torch.full((7,), ratio), gamma=0.9, lam=0.7)
+        torch.testing.assert_close(found, expected)
 
 
 def test_target_of_lambda_one_is_the_discounted_return() -> None:

@@ -1,0 +1,249 @@
+"""Passes of gradient steps on the policy, V and Q, compiled (docs/adr/0022).
+
+``net`` is a `Vectors`; ``order`` are numbers of rows, int64, of which the
+minibatch i is ``order[bounds[i]:bounds[i + 1]]``; ``step`` the optimiser's steps before. What is
+learned from is float32. Losses that are returned are sums over the minibatches.
+"""
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from a2s.learner.networks.kernels import compiled
+from a2s.learner.networks.step_kernels import (
+    above_first,
+    adam,
+    adam_of_layers,
+    add,
+    backward,
+    exp,
+    forward,
+    gather,
+    matrix,
+    memory,
+    shorten,
+)
+from a2s.learner.networks.weights import COLUMNS, WEIGHT
+from a2s.protocol.fields import Array
+
+_F = np.float32
+_ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+_HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
+_MAX_LOG_RATIO = 20.0
+
+
+class Surrogate(NamedTuple):
+    """How the policy's loss is made, see `policy.improve`."""
+
+    clip_ratio: float
+    entropy_weight: float
+    pull: float
+    least_log_std: float
+
+
+@compiled  # type: ignore[untyped-decorator]
+def value_pass(
+    net: Any, inputs: Array, target: Array, order: Array, bounds: Array, step: int,
+    learning_rate: float, max_grad_norm: float,
+) -> Any:  # fmt: skip
+    """Steps down the squared error of a network of tanh with one output: ``[N, in]``, ``[N]``."""
+    value, grad, first, second, layout = net
+    room, total = _largest(bounds), 0.0
+    mem, some = memory(layout, room), np.empty((room, inputs.shape[1]), _F)
+    for i in range(len(bounds) - 1):
+        rows = order[bounds[i] : bounds[i + 1]]
+        x = some[: len(rows)]
+        gather(inputs, rows, x)
+        out = forward(value, layout, False, x, mem)
+        for n in range(len(rows)):
+            error = out[n, 0] - target[rows[n]]
+            total += error * error / len(rows)
+            out[n, 0] = _F(2.0) * error / _F(len(rows))
+        backward(value, grad, layout, x, mem, out)
+        shorten(grad, max_grad_norm)
+        adam(value, grad, first, second, step + i + 1, learning_rate)
+    return total
+
+
+@compiled  # type: ignore[untyped-decorator]
+def q_pass(
+    net: Any, inputs: Array, chance: Array, order: Array, bounds: Array, step: int,
+    learning_rate: float,
+) -> Any:  # fmt: skip
+    """Steps down the cross-entropy of a network of silu: ``[N, in]`` and chances ``[N, BINS]``."""
+    value, grad, first, second, layout = net
+    room, total = _largest(bounds), 0.0
+    mem, some = memory(layout, room), np.empty((room, inputs.shape[1]), _F)
+    for i in range(len(bounds) - 1):
+        rows = order[bounds[i] : bounds[i + 1]]
+        x = some[: len(rows)]
+        gather(inputs, rows, x)
+        out = forward(value, layout, True, x, mem)
+        total += cross_entropy(out, chance, rows)
+        backward(value, grad, layout, x, mem, out)
+        adam_of_layers(value, grad, first, second, layout, step + i + 1, learning_rate)
+    return total
+
+
+@compiled  # type: ignore[untyped-decorator]
+def policy_pass(
+    net: Any, data: Any, wanted: Array, how: Any, order: Array, bounds: Array, step: int,
+    learning_rate: float, max_grad_norm: float,
+) -> Any:  # fmt: skip
+    """Steps of the policy, whose parameters begin with the log deviation.
+
+    ``data`` are the arrays obs, action, log_prob, advantage, weight and old log deviation of
+    `policy.PolicyData`; ``wanted`` has no row where nothing pulls.
+
+    What is wanted has the deviation of the policy before: equation 6 is about the mean.
+
+    Returns:
+        PPO's loss, and that of equation 6: KL(wanted || policy) in nats.
+    """
+    value, grad, first, second, layout = net
+    obs, action, old_log_prob, advantage, weight, old_log_std = data
+    room, size, total, pulled = _largest(bounds), action.shape[1], 0.0, 0.0
+    mem, some = memory(layout, room), np.empty((room, obs.shape[1]), _F)
+    log_std, by_log_std = value[:size], grad[:size]
+    for i in range(len(bounds) - 1):
+        rows = order[bounds[i] : bounds[i + 1]]
+        x = some[: len(rows)]
+        gather(obs, rows, x)
+        out = forward(value, layout, False, x, mem)
+        by_log_std[:] = _F(-how.entropy_weight)
+        part = 1.0 / len(rows)
+        for n in range(len(rows)):
+            k = rows[n]
+            mean = out[n]
+            log_prob = 0.0
+            for j in range(size):
+                z = (action[k, j] - mean[j]) * np.exp(-log_std[j])
+                log_prob -= 0.5 * z * z + log_std[j] + _HALF_LOG_2PI
+            loss, slope = clipped_loss(
+                log_prob, old_log_prob[k], weight[k] * advantage[k], how.clip_ratio
+            )
+            total += loss * part
+            for j in range(size):
+                inverse = np.exp(-log_std[j])
+                z = (action[k, j] - mean[j]) * inverse
+                by_mean = part * slope * z * inverse
+                by_log_std[j] += _F(part * slope * (z * z - 1.0))
+                if len(wanted):
+                    apart = mean[j] - wanted[k, j]
+                    change = log_std[j] - old_log_std[j]
+                    normal = np.exp(-2.0 * change) + (apart * inverse) ** 2
+                    pulled += part * (0.5 * (normal - 1.0) + change)
+                    by_mean += part * how.pull * apart * inverse * inverse
+                    by_log_std[j] += _F(part * how.pull * (1.0 - normal))
+                mean[j] = _F(by_mean)
+        backward(value, grad, layout, x, mem, out)
+        shorten(grad, max_grad_norm)
+        adam(value, grad, first, second, step + i + 1, learning_rate)
+        for j in range(size):
+            log_std[j] = max(log_std[j], _F(how.least_log_std))
+    return total, pulled
+
+
+@compiled  # type: ignore[untyped-decorator]
+def clipped_loss(log_prob: float, old_log_prob: float, worth: float, clip_ratio: float) -> Any:
+    """Loss of a step, the ratio of densities clipped, and its derivative by ``log_prob``.
+
+    In the first step the ratio is 1 and the derivative that of ``-log_prob * worth``, which is
+    A2C's loss: equation 4 of the paper. ``policy_epochs=1`` and ``policy_minibatch=0`` make no
+    other step. ``worth`` is the advantage by its weight.
+
+    Source: Schulman et al. 2017, equation 7.
+    """
+    ratio = np.exp(min(log_prob - old_log_prob, _MAX_LOG_RATIO))
+    free = ratio * worth
+    limited = min(max(ratio, 1.0 - clip_ratio), 1.0 + clip_ratio) * worth
+    if free <= limited:
+        return -free, -free
+    return -limited, 0.0
+
+
+@compiled  # type: ignore[untyped-decorator]
+def cross_entropy(logits: Array, chance: Array, rows: Array) -> Any:
+    """Mean over M rows, whose chances have these numbers; logits become the gradient by them."""
+    part, total = _ONE / _F(len(rows)), 0.0
+    size = logits.shape[1]
+    for n in range(len(rows)):
+        row, likely = logits[n], chance[rows[n]]
+        most = _most(row)
+        along = _ZERO
+        for j in range(size):
+            row[j] -= most
+        for j in range(size):
+            along += likely[j] * row[j]
+        total -= float(along)
+    softened = exp_of(logits.reshape(len(rows) * size)).reshape(len(rows), size)
+    for n in range(len(rows)):
+        row, likely, soft = logits[n], chance[rows[n]], softened[n]
+        whole = _ZERO
+        for j in range(size):
+            whole += soft[j]
+        total += np.log(whole)
+        scale = part / whole
+        for j in range(size):
+            row[j] = soft[j] * scale - likely[j] * part
+    return total / len(rows)
+
+
+@compiled  # type: ignore[untyped-decorator]
+def expected(
+    value: Array, layout: Array, obs: Array, action: Array, centres: Array, room: int, into: Array
+) -> None:
+    """Add the means of the chances that Q gives to ``centres [BINS]`` to ``into [N K]``.
+
+    Observations are ``[N, D]``, actions ``[N K, A]``; ``room`` states are evaluated at once.
+    """
+    (states, size), count, at = obs.shape, len(action) // len(obs), layout[0]
+    mem, width = memory(layout, room * count), at[COLUMNS]
+    by_obs = matrix(value, at[WEIGHT], size, width)
+    by_action = matrix(value, at[WEIGHT] + size * width, action.shape[1], width)
+    shared = np.empty((room, width), _F)
+    for start in range(0, states, room):
+        some = obs[start : start + room]
+        rows = len(some) * count
+        np.dot(some, by_obs, shared[: len(some)])
+        first = matrix(mem.before[0], 0, rows, width)
+        np.dot(action[start * count : start * count + rows], by_action, first)
+        for n in range(rows):
+            add(first[n], shared[n // count])
+        logits = above_first(value, layout, True, rows, mem)
+        for n in range(rows):
+            row = logits[n]
+            most = _most(row)
+            for j in range(len(row)):
+                row[j] -= most
+        softened = exp_of(logits.reshape(logits.size)).reshape(logits.shape)
+        for n in range(rows):
+            soft = softened[n]
+            whole, along = _ZERO, _ZERO
+            for j in range(len(soft)):
+                whole += soft[j]
+                along += soft[j] * centres[j]
+            into[start * count + n] += along / whole
+
+
+@compiled  # type: ignore[untyped-decorator]
+def exp_of(x: Array) -> Any:
+    """All of them in one loop: rows of 51 would leave a part that is not vectorised."""
+    out = np.empty_like(x)
+    for i in range(len(x)):
+        out[i] = exp(x[i])
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)  # type: ignore[untyped-decorator]
+def _most(row: Array) -> Any:
+    most = row[0]
+    for j in range(len(row)):
+        most = row[j] if row[j] > most else most
+    return most
+
+
+@compiled  # type: ignore[untyped-decorator]
+def _largest(bounds: Array) -> int:
+    return int(np.diff(bounds).max())
