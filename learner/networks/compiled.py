@@ -3,13 +3,18 @@
 import functools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import threadpoolctl
+from torch import Tensor
 
+from a2s.learner.networks import step_kernels
 from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.protocol.fields import Array
+
+_ROWS_AT_ONCE = 512
 
 
 class Vectors(NamedTuple):
@@ -34,6 +39,21 @@ def vectors(optimiser: Adam, network: Ensemble, grad: Any, *, member: int = 0) -
     start = len(held[0]) - len(network.value)
     layout = network.form.layout(network.members, member, start)
     return Vectors(held[0], grad.numpy(), *held[1:], layout)
+
+
+def outputs(*pairs: tuple[Ensemble, Tensor]) -> list[Tensor]:
+    """Outputs of single networks for inputs ``[N, in]``, ``[N, out]``, side by side."""
+    into = [x.new_empty(len(x), network.form.sizes[-1]) for network, x in pairs]
+    run_together(
+        [
+            partial(
+                step_kernels.evaluate, network.value.numpy(), network.form.layout(1, 0),
+                x.numpy(), _ROWS_AT_ONCE, out.numpy(),
+            )
+            for (network, x), out in zip(pairs, into, strict=True)
+        ]
+    )  # fmt: skip
+    return into
 
 
 def run_together(calls: Sequence[Callable[[], Any]]) -> list[Any]:

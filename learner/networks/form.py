@@ -102,10 +102,12 @@ class Form:
     def layout(self, members: int, member: int, start: int = 0) -> Array:
         """Where the parameters of a member are in a vector ``[E length]`` that begins at ``start``.
 
-        Int64 ``[layers, 6]``: inputs, outputs, and first place of weight, bias, gain and offset;
-        -1 where a layer has no normalisation. Only for `Linear`s in a chain.
+        Int64 ``[layers, 7]``: inputs, outputs, first place of weight, bias, gain and offset, -1
+        where a layer has no normalisation, and 1 for silu, 0 for tanh. Only for `Linear`s in a
+        chain.
         """
-        layers = [[rows, columns, 0, 0, -1, -1] for rows, columns in self.linears]
+        silu = int(self.activation == "silu")
+        layers = [[rows, columns, 0, 0, -1, -1, silu] for rows, columns in self.linears]
         for column in (WEIGHT, BIAS, GAIN, OFFSET):
             for at in layers[: len(self.norms) if column in (GAIN, OFFSET) else None]:
                 size = at[ROWS] * at[COLUMNS] if column == WEIGHT else at[COLUMNS]

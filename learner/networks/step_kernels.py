@@ -2,7 +2,7 @@
 
 A network is Linear, layer normalisation (or none) and silu or tanh, as often as it has hidden
 layers, and a Linear. Its parameters, gradients and moments of Adam are float32 vectors; where each
-layer's are in them is said by ``layout``, int64 ``[layers, 6]`` of `Form.layout`. The products are
+layer's are in them is said by ``layout``, int64 ``[layers, 7]`` of `Form.layout`. The products are
 BLAS's, by way of SciPy.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from a2s.learner.networks.adam import BETA_1, BETA_2, EPS
 from a2s.learner.networks.kernels import as_float, compiled
-from a2s.learner.networks.weights import BIAS, COLUMNS, GAIN, OFFSET, ROWS, WEIGHT
+from a2s.learner.networks.weights import BIAS, COLUMNS, GAIN, OFFSET, ROWS, SILU, WEIGHT
 from a2s.protocol.fields import Array
 
 _F, _I, _U = np.float32, np.int32, np.uint32
@@ -48,16 +48,24 @@ def memory(layout: Array, rows: int) -> Any:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def forward(value: Array, layout: Array, silu: bool, x: Array, mem: Any) -> Any:
+def forward(value: Array, layout: Array, x: Array, mem: Any) -> Any:
     """Map inputs ``[M, in]`` to outputs ``[M, out]``, a view of the memory."""
     at = layout[0]
     weight = matrix(value, at[WEIGHT], at[ROWS], at[COLUMNS])
     np.dot(x, weight, matrix(mem.before[0], 0, len(x), at[COLUMNS]))
-    return above_first(value, layout, silu, len(x), mem)
+    return above_first(value, layout, len(x), mem)
 
 
 @compiled  # type: ignore[untyped-decorator]
-def above_first(value: Array, layout: Array, silu: bool, rows: int, mem: Any) -> Any:
+def evaluate(value: Array, layout: Array, x: Array, room: int, into: Array) -> None:
+    """Fill ``into [N, out]`` with the outputs for ``x [N, in]``, ``room`` rows at a time."""
+    mem = memory(layout, room)
+    for start in range(0, len(x), room):
+        into[start : start + room] = forward(value, layout, x[start : start + room], mem)
+
+
+@compiled  # type: ignore[untyped-decorator]
+def above_first(value: Array, layout: Array, rows: int, mem: Any) -> Any:
     """The rest of `forward`, from the first product, which is in the memory already."""
     for layer in range(len(layout) - 1):
         at, over = layout[layer], layout[layer + 1]
@@ -68,11 +76,11 @@ def above_first(value: Array, layout: Array, silu: bool, rows: int, mem: Any) ->
         )  # fmt: skip
         bias = vector(value, at[BIAS], width)
         if at[GAIN] < 0:
-            _activate(before, bias, silu, after, slope)
+            _activate(before, bias, at[SILU], after, slope)
         else:
             _normalise(
                 before, bias, vector(value, at[GAIN], width), vector(value, at[OFFSET], width),
-                silu, after, slope, mem.rstd[layer],
+                at[SILU], after, slope, mem.rstd[layer],
             )  # fmt: skip
         weight = matrix(value, over[WEIGHT], width, over[COLUMNS])
         np.dot(after, weight, matrix(mem.before[layer + 1], 0, rows, over[COLUMNS]))
@@ -183,7 +191,9 @@ def shorten(grad: Array, most: float) -> None:
 def gather(table: Array, rows: Array, into: Array) -> None:
     """Copy rows, by their numbers ``[M]``, of ``[N, W]`` to ``[M, W]``."""
     for n in range(len(rows)):
-        into[n] = table[rows[n]]
+        row, found = into[n], table[rows[n]]
+        for j in range(len(row)):
+            row[j] = found[j]
 
 
 @compiled  # type: ignore[untyped-decorator]
@@ -219,7 +229,7 @@ def _multiply(row: Array, other: Array) -> None:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _activate_row(row: Array, silu: bool, out: Array, slope: Array) -> None:
+def _activate_row(row: Array, silu: int, out: Array, slope: Array) -> None:
     """Up to 6e-7."""
     if silu:
         for j in range(len(row)):
@@ -234,7 +244,7 @@ def _activate_row(row: Array, silu: bool, out: Array, slope: Array) -> None:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def _activate(x: Array, bias: Array, silu: bool, out: Array, slope: Array) -> None:
+def _activate(x: Array, bias: Array, silu: int, out: Array, slope: Array) -> None:
     """Add the bias to ``x``, in place, and activate it: ``[M, W]``."""
     for n in range(len(x)):
         add(x[n], bias)
@@ -243,7 +253,7 @@ def _activate(x: Array, bias: Array, silu: bool, out: Array, slope: Array) -> No
 
 @compiled  # type: ignore[untyped-decorator]
 def _normalise(
-    x: Array, bias: Array, gain: Array, offset: Array, silu: bool, out: Array, slope: Array,
+    x: Array, bias: Array, gain: Array, offset: Array, silu: int, out: Array, slope: Array,
     rstd: Array,
 ) -> None:  # fmt: skip
     """Add the bias to ``x``, normalise it in place, and activate what gain and offset make of it.

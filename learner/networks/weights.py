@@ -9,7 +9,7 @@ from torch import Tensor
 from a2s.protocol.fields import Array
 
 # Columns of `Form.layout`.
-ROWS, COLUMNS, WEIGHT, BIAS, GAIN, OFFSET = range(6)
+ROWS, COLUMNS, WEIGHT, BIAS, GAIN, OFFSET, SILU = range(7)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -55,7 +55,7 @@ def value_pass(
         rows = order[bounds[i] : bounds[i + 1]]
         x = some[: len(rows)]
         gather(inputs, rows, x)
-        out = forward(value, layout, False, x, mem)
+        out = forward(value, layout, x, mem)
         for n in range(len(rows)):
             error = out[n, 0] - target[rows[n]]
             total += error * error / len(rows)
@@ -79,7 +79,7 @@ def q_pass(
         rows = order[bounds[i] : bounds[i + 1]]
         x = some[: len(rows)]
         gather(inputs, rows, x)
-        out = forward(value, layout, True, x, mem)
+        out = forward(value, layout, x, mem)
         total += cross_entropy(out, chance, rows)
         backward(value, grad, layout, x, mem, out)
         adam_of_layers(value, grad, first, second, layout, step + i + 1, learning_rate)
@@ -110,7 +110,7 @@ def policy_pass(
         rows = order[bounds[i] : bounds[i + 1]]
         x = some[: len(rows)]
         gather(obs, rows, x)
-        out = forward(value, layout, False, x, mem)
+        out = forward(value, layout, x, mem)
         by_log_std[:] = _F(-how.entropy_weight)
         part = 1.0 / len(rows)
         for n in range(len(rows)):
@@ -211,7 +211,7 @@ def expected(
         np.dot(action[start * count : start * count + rows], by_action, first)
         for n in range(rows):
             add(first[n], shared[n // count])
-        logits = above_first(value, layout, True, rows, mem)
+        logits = above_first(value, layout, rows, mem)
         for n in range(rows):
             row = logits[n]
             most = _most(row)
@@ -246,4 +246,7 @@ def _most(row: Array) -> Any:
 
 @compiled  # type: ignore[untyped-decorator]
 def _largest(bounds: Array) -> int:
-    return int(np.diff(bounds).max())
+    most = 0
+    for i in range(len(bounds) - 1):
+        most = max(most, bounds[i + 1] - bounds[i])
+    return most

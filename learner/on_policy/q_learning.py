@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.compiled import outputs
 from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy import categorical
 from a2s.learner.on_policy.acting import as_q_sees
@@ -31,9 +32,10 @@ def q_targets(window: Batch, state: TrainState, *, gamma: float, lam: float) -> 
     """
     steps = window.num_steps
     norm_obs = state.normaliser(torch.cat([window.obs, window.final_obs]))
-    value = state.returns.restore(state.value_net(norm_obs).squeeze(1))
+    said, mean = outputs((state.value_net, norm_obs), (state.policy.network, norm_obs[:steps]))
+    value = state.returns.restore(said.squeeze(1))
     log_std = state.policy.log_std
-    apart = (window.suggestion - state.policy(norm_obs[:steps])) * (-log_std).exp()
+    apart = (window.suggestion - mean) * (-log_std).exp()
     target = v_trace(
         window,
         value[:steps],

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from a2s.learner.networks import step_kernels
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.compiled import run_together, vectors
+from a2s.learner.networks.compiled import outputs, run_together, vectors
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.options import Activation
@@ -55,8 +55,7 @@ def test_outputs_and_gradients_are_those_of_the_layers(
     for member in range(network.members):
         net = vectors(optimiser, network, grad, member=member)
         mem = step_kernels.memory(net.layout, rows + 3)
-        silu = activation == "silu"
-        out = step_kernels.forward(net.value, net.layout, silu, x.numpy(), mem)
+        out = step_kernels.forward(net.value, net.layout, x.numpy(), mem)
         wanted = expected[member] if members else expected
         np.testing.assert_allclose(out, wanted, rtol=1e-4, atol=1e-5)
         by_out = (weight[member] if members else weight).numpy()
@@ -116,6 +115,15 @@ def test_error_of_the_approximations(name: str, most: float) -> None:
         exact = 1.0 / (1.0 + np.exp(-x.astype(np.float64)))
     assert np.abs(found / exact - 1.0).max() < most
     assert np.isnan(function(np.float32(np.nan)))
+
+
+def test_outputs_are_those_of_the_layers_in_any_number_of_rows() -> None:
+    """Two networks at once; more rows than are evaluated at once."""
+    nets = [make((5, 16, 2), "tanh", True, 0, seed) for seed in (0, 1)]
+    x = torch.randn(1300, 5)
+    found = outputs((nets[0], x), (nets[1], x[:7]))
+    torch.testing.assert_close(found[0], nets[0](x), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found[1], nets[1](x[:7]), rtol=1e-4, atol=1e-5)
 
 
 def test_calls_run_side_by_side_and_keep_their_order() -> None:
