@@ -17,10 +17,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from curves import curves
-from suites import PENDULUM, REFERENCE, SUITES, kept_episodes, kept_evaluations, name_of
+from suites import ARMS, PENDULUM, REFERENCE, SUITES, kept_episodes, kept_evaluations, name_of
 from table import tables
 
 HERE = Path(__file__).parent
+CLI = ("-m", "a2s.cli")
 MODES = ("mean", "best-of-k")
 COLUMNS = (
     "suite", "env", "label", "seed", "env_steps", "commit", "options", "mean", "mean_std",
@@ -46,7 +47,9 @@ def run_one(suite: str, env: str, label: str, seed: int, out: Path) -> dict[str,
     commit = _commit(path)
     if not _is_finished(path):
         resume = ("--resume",) if (path / "checkpoints").exists() else ()
-        _a2s("train", *options, *resume, "--run-dir", str(path), "--metrics-port", "-1", "--json")
+        where = ("--run-dir", str(path), "--metrics-port", "-1", "--json")
+        program = (str(HERE / "arms.py"), label) if label in ARMS else CLI
+        _a2s("train", *options, *resume, *where, program=program)
     how = ("--episodes", "10", "--seed", "1000", "--json")
     results = {
         mode: json.loads(_a2s("evaluate", str(path), "--mode", mode, *how)) for mode in MODES
@@ -126,9 +129,9 @@ def _evaluate_kept(path: Path, output: Path) -> None:
     output.write_text("\n".join(lines) + "\n")
 
 
-def _a2s(*arguments: str) -> str:
+def _a2s(*arguments: str, program: tuple[str, ...] = CLI) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", "a2s.cli", *arguments], capture_output=True, text=True, check=False
+        [sys.executable, *program, *arguments], capture_output=True, text=True, check=False
     )
     if done.returncode:
         sys.exit(f"a2s {' '.join(arguments)}: {done.stderr.strip().splitlines()[-1]}")

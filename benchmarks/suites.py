@@ -7,6 +7,9 @@ PENDULUM = "InvertedPendulum-v5"
 MUJOCO = ("Hopper-v5", "Walker2d-v5", "HalfCheetah-v5")
 REFERENCE = "sb3-sac"
 
+# Changed by `arms.py`, not by an option.
+ARMS = ("placebo", "pathwise", "no-ppo", "centred")
+
 _OFF = ("--variant", "off-policy")
 
 
@@ -43,6 +46,8 @@ LABELS: dict[str, tuple[str, ...]] = {
     "k4": ("--suggestions", "4"),
     "k32": ("--suggestions", "32"),
     "no-recovery": ("--set", "recovery=off"),
+    "no-window": ("--set", "window_steps=1"),
+    **dict.fromkeys(ARMS, ()),
     "off-policy": _OFF,
     "off-policy-k1": _off(act_suggestions=1),
     "gamma-0.99": _off(gamma=0.99),
@@ -110,7 +115,7 @@ SUITES = {
     "suggestions-300k": Suite(
         "on_policy",
         MUJOCO,
-        ("modern", "a2c", "k2", "k4", "k32"),
+        ("modern", "a2c", "k2", "k4", "k32", "no-window", *ARMS),
         tuple(range(20, 25)),
         300_000,
         16,

@@ -93,16 +93,15 @@ def policy_pass(
 ) -> Any:  # fmt: skip
     """Steps of the policy, whose parameters begin with the log deviation.
 
-    ``data`` are the arrays obs, action, log_prob, advantage, weight and old log deviation of
-    `policy.PolicyData`; ``wanted`` has no row where nothing pulls.
-
-    What is wanted has the deviation of the policy before: equation 6 is about the mean.
+    ``data`` are the arrays obs, action, log_prob, advantage and weight of `policy.PolicyData`;
+    ``wanted`` has no row where nothing pulls.
 
     Returns:
-        PPO's loss, and that of equation 6: KL(wanted || policy) in nats.
+        PPO's loss, and that of equation 6: the divergence, in nats, of Gaussians that are as wide
+        as the policy around its mean and around the wanted one. Equation 6 is about the mean.
     """
     value, grad, first, second, layout = net
-    obs, action, old_log_prob, advantage, weight, old_log_std = data
+    obs, action, old_log_prob, advantage, weight = data
     room, size, total, pulled = _largest(bounds), action.shape[1], 0.0, 0.0
     mem, some = memory(layout, room), np.empty((room, obs.shape[1]), _F)
     log_std, by_log_std = value[:size], grad[:size]
@@ -131,11 +130,8 @@ def policy_pass(
                 by_log_std[j] += _F(part * slope * (z * z - 1.0))
                 if len(wanted):
                     apart = mean[j] - wanted[k, j]
-                    change = log_std[j] - old_log_std[j]
-                    normal = np.exp(-2.0 * change) + (apart * inverse) ** 2
-                    pulled += part * (0.5 * (normal - 1.0) + change)
+                    pulled += part * 0.5 * (apart * inverse) ** 2
                     by_mean += part * how.pull * apart * inverse * inverse
-                    by_log_std[j] += _F(part * how.pull * (1.0 - normal))
                 mean[j] = _F(by_mean)
         backward(value, grad, layout, x, mem, out)
         shorten(grad, max_grad_norm)

@@ -37,9 +37,7 @@ class PolicyData:
 
     def learned_from(self) -> tuple[Tensor, ...]:
         """As the compiled passes have it."""
-        return (
-            self.obs, self.action, self.log_prob, self.advantage, self.weight, self.log_std
-        )  # fmt: skip
+        return self.obs, self.action, self.log_prob, self.advantage, self.weight
 
 
 class PolicyChange(NamedTuple):

@@ -29,6 +29,7 @@ _POLL_S = 0.05
 _STOP_S = 30.0
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
+PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.cli")
 Process = subprocess.Popen[bytes]
 
 
@@ -148,7 +149,7 @@ def _started(options: list[str], out: IO[str]) -> Iterator[Process]:
     """
     libc = ctypes.CDLL(None)
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "a2s.cli", *options],
+        [*PROGRAM, *options],
         stdout=out,
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
