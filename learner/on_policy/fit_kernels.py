@@ -241,6 +241,13 @@ def _most(row: Array) -> Any:
 
 
 @compiled  # type: ignore[untyped-decorator]
+def add_decayed(sums: Array, decay: Array) -> None:
+    """Add to each number of ``[N]``, from the end, ``decay`` times what the next one became."""
+    for t in range(len(sums) - 2, -1, -1):
+        sums[t] += decay[t] * sums[t + 1]
+
+
+@compiled  # type: ignore[untyped-decorator]
 def _largest(bounds: Array) -> int:
     most = 0
     for i in range(len(bounds) - 1):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from a2s.learner.on_policy import fit_kernels
 from a2s.learner.on_policy.batch import Batch
 
 # Of the size of returns: what varies less is rounding of float32 numbers and their sums.
@@ -24,14 +25,9 @@ def decayed_sums(amount: Tensor, decay: Tensor) -> Tensor:
 
     All are ``[N]``; the decay is 0 at the last step of every segment.
     """
-    carry, sums = 0.0, []
-    for here, keep in zip(
-        reversed(amount.double().tolist()), reversed(decay.double().tolist()), strict=True
-    ):
-        carry = here + keep * carry
-        sums.append(carry)
-    sums.reverse()
-    return torch.tensor(sums, dtype=torch.float32)
+    sums = amount.double().numpy().copy()
+    fit_kernels.add_decayed(sums, decay.double().numpy())
+    return torch.from_numpy(sums).float()
 
 
 def bootstrap(batch: Batch, final_value: Tensor, *, time_limit_is_terminal: bool) -> Tensor:

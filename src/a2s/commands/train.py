@@ -6,6 +6,7 @@ learner has ended, then evaluates the policy and draws the curve.
 
 import ctypes
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -27,6 +28,7 @@ from a2s.protocol.errors import A2SError, UsageError
 
 _POLL_S = 0.05
 _STOP_S = 30.0
+_NICENESS = 5  # of actors: where there are more threads than cores, the learner's come first
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.cli")
@@ -100,7 +102,7 @@ def _run(
     with (
         _started(learner_options, out) as learner,
         log.open("a") as actor_log,
-        _started(actor_options, actor_log) as actors,
+        _started(actor_options, actor_log, niceness=_NICENESS) as actors,
     ):
         _wait(learner, actors, log, stop)
     if not (path / run_directory.CONFIG).exists():
@@ -142,18 +144,23 @@ def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:
 
 
 @contextmanager
-def _started(options: list[str], out: IO[str]) -> Iterator[Process]:
+def _started(options: list[str], out: IO[str], *, niceness: int = 0) -> Iterator[Process]:
     """Run a command as long as the block lasts, in a process group of its own.
 
     Ctrl-C reaches only this process, which ends the command cleanly.
     """
     libc = ctypes.CDLL(None)
+
+    def begin() -> None:
+        libc.prctl(_DIE_WITH_PARENT, signal.SIGTERM)
+        os.nice(niceness)
+
     process = subprocess.Popen(
         [*PROGRAM, *options],
         stdout=out,
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
-        preexec_fn=lambda: libc.prctl(_DIE_WITH_PARENT, signal.SIGTERM),
+        preexec_fn=begin,
     )
     try:
         yield process

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from on_policy_learners import batch_of
 from torch import Tensor
@@ -46,6 +46,7 @@ def slow_advantage(
     lam=st.floats(0.0, 1.0),
     seed=st.integers(0, 1000),
 )
+@settings(deadline=None)
 def test_estimates_agree_with_the_definition(
     lengths: list[int], gamma: float, lam: float, seed: int
 ) -> None:
@@ -69,6 +70,7 @@ def test_estimates_agree_with_the_definition(
     lam=st.floats(0.0, 1.0),
     seed=st.integers(0, 1000),
 )
+@settings(deadline=None)
 def test_v_trace_agrees_with_the_sum_of_its_paper(
     lengths: list[int], gamma: float, lam: float, seed: int
 ) -> None:
