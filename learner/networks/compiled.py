@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -58,11 +58,19 @@ def outputs(*pairs: tuple[Ensemble, Tensor]) -> list[Tensor]:
 
 def run_together(calls: Sequence[Callable[[], Any]]) -> list[Any]:
     """Call all of them, each in a thread; BLAS has one thread for each. Results are in order."""
+    first, *others = calls
     with _blas().limit(limits=1, user_api="blas"):
-        if len(calls) == 1:
-            return [calls[0]()]
-        with ThreadPoolExecutor(len(calls)) as pool:
-            return [each.result() for each in [pool.submit(call) for call in calls]]
+        begun = [_threads().submit(call) for call in others]
+        try:
+            result = first()
+        finally:
+            wait(begun)
+    return [result, *(each.result() for each in begun)]
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="fit")
 
 
 @functools.cache

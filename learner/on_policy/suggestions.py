@@ -64,8 +64,10 @@ def share_that_counts(score: Tensor, inverse_temperature: float) -> float:
 
     Source: Kish 1965, ``1 / sum w^2``.
     """
-    weight = (inverse_temperature * score).softmax(1)
-    return float((1.0 / weight.square().sum(1)).mean()) / score.shape[1]
+    below_best = score - score.amax(1, keepdim=True)
+    weight = (inverse_temperature * below_best).exp()
+    count = weight.sum(1).square() / weight.square().sum(1)
+    return float(count.mean()) / score.shape[1]
 
 
 def limited_inverse_temperature(score: Tensor, wanted: float, least_share: float) -> float:
