@@ -8,7 +8,9 @@ run took. Interquartile means over the seeds, and 95 % intervals of the differen
 import argparse
 import csv
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scores import Scores, area, compare
@@ -16,41 +18,56 @@ from suites import SUITES, kept_evaluations, name_of
 
 HERE = Path(__file__).parent
 _LAST = 5
+_COLUMNS = ("env_steps", "mean", "wall_s")
+_WANTED = {"Hopper-v5": 3000, "Walker2d-v5": 4000, "HalfCheetah-v5": 5000}
 
 
-def read(suite: str, env: str, label: str, seed: int) -> tuple[Scores, Scores]:
-    """Steps and mean returns of a run's evaluations."""
+class Evaluations(NamedTuple):
+    """A run's: steps, mean returns, and seconds since it began."""
+
+    steps: Scores
+    mean: Scores
+    wall_s: Scores
+
+
+def read(suite: str, env: str, label: str, seed: int) -> Evaluations:
+    """The kept evaluations of a run."""
     file = kept_evaluations(HERE / SUITES[suite].folder, suite, name_of(suite, env, label, seed))
     with file.open(newline="") as lines:
-        rows = [(float(r["env_steps"]), float(r["mean"])) for r in csv.DictReader(lines)]
-    steps, mean = np.array(rows).T
-    return steps, mean
+        rows = [[float(row[name]) for name in _COLUMNS] for row in csv.DictReader(lines)]
+    return Evaluations(*np.array(rows).T)
 
 
-def summary(steps: Scores, mean: Scores, total: int) -> tuple[float, float, float]:
+def summary(run: Evaluations, total: int) -> tuple[float, float, float]:
     """Area, mean of the last five, least in the second half as a share of the best before it."""
-    late = steps > total / 2
-    so_far = np.maximum.accumulate(mean)
-    kept = (mean[1:] / np.maximum(so_far[:-1], 1.0))[late[1:]]
-    return area(steps, mean), float(mean[-_LAST:].mean()), float(kept.min())
+    late = run.steps > total / 2
+    so_far = np.maximum.accumulate(run.mean)
+    kept = (run.mean[1:] / np.maximum(so_far[:-1], 1.0))[late[1:]]
+    return area(run.steps, run.mean), float(run.mean[-_LAST:].mean()), float(kept.min())
 
 
-def page(suite: str, label: str, other: str) -> str:
+def reached(run: Evaluations, wanted: float) -> tuple[float, float]:
+    """Steps and seconds at the first evaluation that is as good as wanted; infinite if none is."""
+    good = np.flatnonzero(run.mean >= wanted)
+    if len(good) == 0:
+        return np.inf, np.inf
+    return float(run.steps[good[0]]), float(run.wall_s[good[0]])
+
+
+def page(suite: str, label: str, other: str, seeds: Sequence[int]) -> str:
     """The comparison in Markdown; every seed."""
     found = SUITES[suite]
     lines = [
-        f"| {suite}, {len(found.seeds)} seeds | {label} | {other} | difference [95 %] | ratio "
-        f"| P({label} > {other}) |",
+        f"| {suite}, seeds {min(seeds)} to {max(seeds)} | {label} | {other} "
+        f"| difference [95 %] | ratio | P({label} > {other}) |",
         "|---|---|---|---|---|---|",
     ]
-    seeds = []
+    runs, times = [], []
     for env in found.envs:
-        both = {
-            each: [summary(*read(suite, env, each, seed), found.steps) for seed in found.seeds]
-            for each in (label, other)
-        }
+        both = {each: [read(suite, env, each, seed) for seed in seeds] for each in (label, other)}
+        told = {each: [summary(run, found.steps) for run in both[each]] for each in both}
         for index, name in enumerate(("area", "last five")):
-            one, two = ([run[index] for run in both[each]] for each in (label, other))
+            one, two = ([run[index] for run in told[each]] for each in (label, other))
             c = compare(one, two)
             lines.append(
                 f"| {env}, {name} | {np.mean(one):.0f} ± {np.std(one, ddof=1):.0f} | "
@@ -58,11 +75,14 @@ def page(suite: str, label: str, other: str) -> str:
                 f"{c.difference:.0f} [{c.low:.0f}, {c.high:.0f}] | {c.ratio:.2f} | "
                 f"{c.improvement:.2f} |"
             )
-        for each in (label, other):
-            told = ", ".join(f"{last:.0f} ({kept:.2f})" for _, last, kept in both[each])
-            seeds.append(f"- {env}, {each}: {told}")
+        for each in both:
+            seen = ", ".join(f"{last:.0f} ({kept:.2f})" for _, last, kept in told[each])
+            runs.append(f"- {env}, {each}: {seen}")
+            goal = _WANTED[env]
+            steps, wall = np.median([reached(run, goal) for run in both[each]], axis=0)
+            times.append(f"- {env}, {each}, to {goal}: {steps:.0f} steps, {wall:.0f} s")
     about = "Last five of every seed; in brackets the least late evaluation by the best before it."
-    return "\n".join([*lines, "", about, "", *seeds, ""])
+    return "\n".join([*lines, "", about, "", *runs, "", "Medians over the seeds:", "", *times, ""])
 
 
 def main() -> None:
@@ -71,8 +91,10 @@ def main() -> None:
     parser.add_argument("suite", choices=SUITES)
     parser.add_argument("label")
     parser.add_argument("other")
+    parser.add_argument("--seeds", nargs="*", type=int, help="only these seeds")
     arguments = parser.parse_args()
-    sys.stdout.write(page(arguments.suite, arguments.label, arguments.other))
+    seeds = arguments.seeds or SUITES[arguments.suite].seeds
+    sys.stdout.write(page(arguments.suite, arguments.label, arguments.other, seeds))
 
 
 if __name__ == "__main__":

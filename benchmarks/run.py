@@ -20,9 +20,12 @@ from curves import curves
 from suites import ARMS, PENDULUM, REFERENCE, SUITES, kept_episodes, kept_evaluations, name_of
 from table import tables
 
+from a2s.commands.evaluate import evaluate_run
+
 HERE = Path(__file__).parent
 CLI = ("-m", "a2s.cli")
 MODES = ("mean", "best-of-k")
+EVALUATION_SEED = 2000
 COLUMNS = (
     "suite", "env", "label", "seed", "env_steps", "commit", "options", "mean", "mean_std",
     "best_of_k", "best_of_k_std", "first_1000", "return_last_tenth", "return_best", "recoveries",
@@ -121,10 +124,15 @@ def _evaluate_kept(path: Path, output: Path) -> None:
     """Evaluate every kept policy by its mean action on the same 10 fresh episodes."""
     if output.exists():
         return
-    lines = ["env_steps,mean"]
+    with (path / "updates.csv").open(newline="") as file:
+        wall_s = {row["env_steps"]: row["wall_s"] for row in csv.DictReader(file)}
+    lines = ["env_steps,mean,wall_s"]
     for policy in sorted(path.glob("policies/*/policy.onnx")):
-        said = _a2s("evaluate", str(policy), "--episodes", "10", "--seed", "2000", "--json")
-        lines.append(f"{int(policy.parent.name)},{json.loads(said)['mean']:.1f}")
+        found = evaluate_run(
+            policy, {}, episodes=10, mode="mean", weights="latest", seed=EVALUATION_SEED
+        )
+        steps = str(int(policy.parent.name))
+        lines.append(f"{steps},{found['mean']:.1f},{wall_s[steps]}")
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text("\n".join(lines) + "\n")
 

@@ -148,7 +148,7 @@ def name_of(suite: str, env: str, label: str, seed: int) -> str:
 
 
 def kept_evaluations(folder: Path, suite: str, name: str) -> Path:
-    """Where the evaluations of a run's policies are kept: ``env_steps,mean`` in each line."""
+    """Where the evaluations of a run's policies are kept: ``env_steps,mean,wall_s``."""
     return folder / "evaluations" / suite / f"{name}.csv"
 
 
