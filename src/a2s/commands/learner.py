@@ -4,6 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,8 @@ from a2s.commands.process import (
 from a2s.learner.make import make_learner, make_replay_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay
+from a2s.learner.on_policy import warm_up
+from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.replay import directory
 from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
@@ -104,8 +107,10 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
     """
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
     _prepare_process(run)
-    with stop_on_signals() as stop:
+    with ThreadPoolExecutor(1) as ahead, stop_on_signals() as stop:
+        compiled = ahead.submit(_compile, configuration, place.out)
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
+    compiled.result()
     if described is None or stop.interrupted:
         return EXIT_INTERRUPTED
     with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
@@ -133,6 +138,14 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         if summary["updates"]:
             typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
     return place.end(summary, stop)
+
+
+def _compile(configuration: Configuration, out: TextIO) -> None:
+    """Load what an on-policy update calls; on a new machine that takes a while, and is said."""
+    if isinstance(configuration.hyper, OnPolicyConfig):
+        if not warm_up.is_compiled():
+            typer.echo("compiling what the learner computes: once, in about half a minute", out)
+        warm_up.warm_up()
 
 
 def learn_from(
