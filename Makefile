@@ -23,6 +23,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV) || \
 	  { echo "could not make a virtual environment; on Debian: apt-get install python3-venv"; exit 2; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@echo "== compiling what the learner computes (half a minute)"
+	@$(BIN)/python -W ignore -c 'from a2s.learner.on_policy.warm_up import warm_up; warm_up()'
 	@touch $(INSTALLED)
 
 train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env HalfCheetah-v5"
