@@ -28,8 +28,8 @@ from a2s.learner.networks.weights import COLUMNS, WEIGHT
 from a2s.protocol.fields import Array
 
 _F = np.float32
-_ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-_HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_HALF_LOG_2PI = np.float32(0.5 * np.log(2.0 * np.pi))
 _MAX_LOG_RATIO = 20.0
 
 
@@ -104,35 +104,33 @@ def policy_pass(
     obs, action, old_log_prob, advantage, weight = data
     room, size, total, pulled = _largest(bounds), action.shape[1], 0.0, 0.0
     mem, some = memory(layout, room), np.empty((room, obs.shape[1]), _F)
-    log_std, by_log_std = value[:size], grad[:size]
+    log_std, by_log_std, z = value[:size], grad[:size], np.empty(size, _F)
     for i in range(len(bounds) - 1):
         rows = order[bounds[i] : bounds[i + 1]]
         x = some[: len(rows)]
         gather(obs, rows, x)
         out = forward(value, layout, x, mem)
         by_log_std[:] = _F(-how.entropy_weight)
-        part = 1.0 / len(rows)
+        inverse, part = np.exp(-log_std), _ONE / _F(len(rows))
+        highest = -(log_std.sum() + size * _HALF_LOG_2PI)
         for n in range(len(rows)):
-            k = rows[n]
-            mean = out[n]
-            log_prob = 0.0
+            k, mean = rows[n], out[n]
+            log_prob = highest
             for j in range(size):
-                z = (action[k, j] - mean[j]) * np.exp(-log_std[j])
-                log_prob -= 0.5 * z * z + log_std[j] + _HALF_LOG_2PI
-            loss, slope = clipped_loss(
-                log_prob, old_log_prob[k], weight[k] * advantage[k], how.clip_ratio
-            )
+                z[j] = (action[k, j] - mean[j]) * inverse[j]
+                log_prob -= _HALF * z[j] * z[j]
+            worth = weight[k] * advantage[k]
+            loss, slope = clipped_loss(log_prob, old_log_prob[k], worth, how.clip_ratio)
             total += loss * part
+            by_log_prob = _F(slope) * part
             for j in range(size):
-                inverse = np.exp(-log_std[j])
-                z = (action[k, j] - mean[j]) * inverse
-                by_mean = part * slope * z * inverse
-                by_log_std[j] += _F(part * slope * (z * z - 1.0))
+                by_log_std[j] += by_log_prob * (z[j] * z[j] - _ONE)
+                by_mean = by_log_prob * z[j] * inverse[j]
                 if len(wanted):
-                    apart = mean[j] - wanted[k, j]
-                    pulled += part * 0.5 * (apart * inverse) ** 2
-                    by_mean += part * how.pull * apart * inverse * inverse
-                mean[j] = _F(by_mean)
+                    apart = (mean[j] - wanted[k, j]) * inverse[j]
+                    pulled += part * _HALF * apart * apart
+                    by_mean += _F(how.pull) * part * apart * inverse[j]
+                mean[j] = by_mean
         backward(value, grad, layout, x, mem, out)
         shorten(grad, max_grad_norm)
         adam(value, grad, first, second, step + i + 1, learning_rate)
