@@ -128,10 +128,12 @@ def _evaluate_kept(path: Path, output: Path) -> None:
         wall_s = {row["env_steps"]: row["wall_s"] for row in csv.DictReader(file)}
     lines = ["env_steps,mean,wall_s"]
     for policy in sorted(path.glob("policies/*/policy.onnx")):
+        steps = str(int(policy.parent.name))
+        if steps not in wall_s:
+            continue  # of an update that a kill undid
         found = evaluate_run(
             policy, {}, episodes=10, mode="mean", weights="latest", seed=EVALUATION_SEED
         )
-        steps = str(int(policy.parent.name))
         lines.append(f"{steps},{found['mean']:.1f},{wall_s[steps]}")
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text("\n".join(lines) + "\n")
