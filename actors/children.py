@@ -32,6 +32,7 @@ _CHUNK = 1 << 16
 _LOOK_EVERY_S = 0.1
 _POLL_S = 0.02
 _LAST_WORDS_S = 1.0
+_READ_S = 30.0  # where the processor has much else to do
 _SLOW_S = 10.0
 _STOP_S = 12.0
 _CLOSE_S = 5.0
@@ -138,7 +139,7 @@ class Child:
         _LIVING.discard(self.pid)
         end_family(self._family, living=_LIVING)
         self.release()
-        self._reader.join(2 * _LAST_WORDS_S)
+        self._reader.join(_READ_S)
 
     def _read(self, report: int, words: int) -> None:
         """Read until nobody can write, or until the child has ended and no more data comes."""
@@ -148,16 +149,17 @@ class Child:
             for fd in lines:
                 selector.register(fd, selectors.EVENT_READ)
             while selector.get_map():
+                has_ended = self._code is not None
                 ready = selector.select(_LOOK_EVERY_S)
-                if self._code is not None:  # a process that still holds the pipes is not ours
-                    ended_s = ended_s or time.monotonic()
-                    if not ready or time.monotonic() - ended_s > _LAST_WORDS_S:
-                        break
                 for key, _ in ready:
                     data = os.read(key.fd, _CHUNK)
                     lines[key.fd].feed(data)
                     if not data:
                         selector.unregister(key.fd)
+                if has_ended:  # a process that still holds the pipes is not ours
+                    ended_s = ended_s or time.monotonic()
+                    if not ready or time.monotonic() - ended_s > _LAST_WORDS_S:
+                        break
         for fd in lines:
             os.close(fd)
 

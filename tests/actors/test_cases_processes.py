@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import psutil
@@ -9,6 +10,7 @@ import pytest
 from a2s_case_processes import SPOILED
 
 from a2s.actors.check import check
+from a2s.actors.description import describe
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
 
@@ -54,6 +56,17 @@ def test_an_environment_that_configures_logging_does_not_silence_our_lines() -> 
     words: list[str] = []
     check(EnvConfig(env_id="a2s_case_processes:SilencesLogs-v0"), words.append)
     assert any("close raised RuntimeError: there is nothing to close" in w for w in words), words
+
+
+def test_a_report_is_heard_though_words_before_it_take_long_to_pass_on() -> None:
+    """As where the learner computes and the thread that reads has to wait."""
+    busy = threading.Event()
+
+    def wait_a_while(_: str) -> None:
+        busy.wait(0.8)
+
+    config = EnvConfig(env_id="a2s_case_processes:Noisy-v0")
+    assert describe(config, wait_a_while) is not None
 
 
 def test_orphans_that_have_ended_are_not_kept_as_zombies() -> None:

@@ -4,7 +4,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -107,10 +106,10 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
     """
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
     _prepare_process(run)
-    with ThreadPoolExecutor(1) as ahead, stop_on_signals() as stop:
-        compiled = ahead.submit(_compile, configuration, place.out)
+    with stop_on_signals() as stop:
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
-    compiled.result()
+        if described is not None:
+            _compile(configuration, place.out)
     if described is None or stop.interrupted:
         return EXIT_INTERRUPTED
     with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
