@@ -86,8 +86,3 @@ class Policy:
     def std(self) -> Tensor:
         """Standard deviation, ``[A]``."""
         return self.log_std.exp()
-
-    def hold_floor(self, std_floor: float) -> None:
-        """Lift a learned standard deviation to a floor, so that its gradient lives on there."""
-        if self.learns_std and std_floor > 0:
-            self.log_std.clamp_(min=math.log(std_floor))

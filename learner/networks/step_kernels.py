@@ -12,6 +12,7 @@ import numpy as np
 
 from a2s.learner.networks.adam import BETA_1, BETA_2, EPS
 from a2s.learner.networks.kernels import as_float, compiled
+from a2s.learner.networks.layer_norm import LAYER_NORM_EPS
 from a2s.learner.networks.weights import BIAS, COLUMNS, GAIN, OFFSET, ROWS, SILU, WEIGHT
 from a2s.protocol.fields import Array
 
@@ -21,7 +22,7 @@ _LOG2_E, _LN_2, _MOST = np.float32(1.442695041), np.float32(0.6931471806), np.fl
 # Taylor's of exp, from the sixth power down: 1.2e-7 of exp(f) for abs(f) < ln(2) / 2.
 _C6, _C5, _C4, _C3 = (np.float32(1.0 / n) for n in (720, 120, 24, 6))
 _B1, _B2, _EPS = np.float32(1 - BETA_1), np.float32(BETA_2), np.float32(EPS)
-_LAYER_NORM_EPS = np.float32(1e-5)
+_LAYER_NORM_EPS = np.float32(LAYER_NORM_EPS)
 
 
 class Memory(NamedTuple):
@@ -188,12 +189,14 @@ def shorten(grad: Array, most: float) -> None:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def gather(table: Array, rows: Array, into: Array) -> None:
-    """Copy rows, by their numbers ``[M]``, of ``[N, W]`` to ``[M, W]``."""
+def gather(table: Array, rows: Array, room: Array) -> Any:
+    """Copy rows, by their numbers ``[M]``, of ``[N, W]`` to the first M of ``room``; a view."""
+    into = room[: len(rows)]
     for n in range(len(rows)):
         row, found = into[n], table[rows[n]]
         for j in range(len(row)):
             row[j] = found[j]
+    return into
 
 
 @compiled  # type: ignore[untyped-decorator]

@@ -1,8 +1,8 @@
 """Passes of gradient steps on the policy, V and Q, compiled (docs/adr/0022).
 
-``net`` is a `Vectors`; ``order`` are numbers of rows, int64, of which the
-minibatch i is ``order[bounds[i]:bounds[i + 1]]``; ``step`` the optimiser's steps before. What is
-learned from is float32. Losses that are returned are sums over the minibatches.
+``net`` is a `Vectors`; ``order`` are numbers of rows, int64, of which the minibatch i is
+``order[bounds[i]:bounds[i + 1]]``; ``step`` the optimiser's steps before. What is learned from is
+float32. Losses that are returned are sums over the minibatches.
 """
 
 from typing import Any, NamedTuple
@@ -53,8 +53,7 @@ def value_pass(
     mem, some = memory(layout, room), np.empty((room, inputs.shape[1]), _F)
     for i in range(len(bounds) - 1):
         rows = order[bounds[i] : bounds[i + 1]]
-        x = some[: len(rows)]
-        gather(inputs, rows, x)
+        x = gather(inputs, rows, some)
         out = forward(value, layout, x, mem)
         for n in range(len(rows)):
             error = out[n, 0] - target[rows[n]]
@@ -77,8 +76,7 @@ def q_pass(
     mem, some = memory(layout, room), np.empty((room, inputs.shape[1]), _F)
     for i in range(len(bounds) - 1):
         rows = order[bounds[i] : bounds[i + 1]]
-        x = some[: len(rows)]
-        gather(inputs, rows, x)
+        x = gather(inputs, rows, some)
         out = forward(value, layout, x, mem)
         total += cross_entropy(out, chance, rows)
         backward(value, grad, layout, x, mem, out)
@@ -107,8 +105,7 @@ def policy_pass(
     log_std, by_log_std, z = value[:size], grad[:size], np.empty(size, _F)
     for i in range(len(bounds) - 1):
         rows = order[bounds[i] : bounds[i + 1]]
-        x = some[: len(rows)]
-        gather(obs, rows, x)
+        x = gather(obs, rows, some)
         out = forward(value, layout, x, mem)
         by_log_std[:] = _F(-how.entropy_weight)
         inverse, part = np.exp(-log_std), _ONE / _F(len(rows))

@@ -1,6 +1,6 @@
 """What an update calls is compiled when it is called first, and kept: once for a machine.
 
-Done beforehand, it can go on beside something else, and be announced (docs/adr/0022).
+Done before a run begins, it can be announced (docs/adr/0022).
 """
 
 from pathlib import Path

@@ -39,15 +39,12 @@ def make(learns_std: bool) -> Policy:
 
 
 def test_std_is_a_parameter_only_when_learned() -> None:
-    """The floor is held by the parameter itself; 0 is none."""
+    """It is the beginning of the policy's parameters."""
     fixed, learned = make(False), make(True)
     assert len(learned.value) == len(fixed.value) + 2
     torch.testing.assert_close(fixed.std(), torch.full((2,), 0.5))
     learned.value[:2] = -9.0
-    learned.hold_floor(0.0)
     assert learned.log_std.tolist() == [-9.0, -9.0]
-    learned.hold_floor(0.15)
-    torch.testing.assert_close(learned.std(), torch.full((2,), 0.15))
 
 
 def test_gradient_of_a_learned_std_is_beside_that_of_the_network() -> None:

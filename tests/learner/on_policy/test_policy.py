@@ -221,6 +221,17 @@ def test_passes_end_once_the_policy_has_moved_far_enough() -> None:
     assert found.kl > 0.005
 
 
+@pytest.mark.parametrize("std_floor", [0.0, 0.15])
+def test_a_smaller_std_is_lifted_to_its_floor(std_floor: float) -> None:
+    """By the first step, in the parameter itself; 0 is none."""
+    policy = make_policy()
+    data = data_of(policy)
+    policy.value[:2] = -9.0
+    improved(policy, data, 0.0, epochs=1, std_floor=std_floor)
+    expected = [math.log(std_floor)] * 2 if std_floor else [-9.0, -9.0]
+    assert policy.log_std.tolist() == pytest.approx(expected)
+
+
 def test_std_is_held_at_its_floor() -> None:
     """Though the advantage asks for less."""
     policy = make_policy()

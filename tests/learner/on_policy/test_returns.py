@@ -16,6 +16,13 @@ from a2s.learner.on_policy.returns import (
     v_trace,
 )
 
+any_segments = given(
+    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    gamma=st.floats(0.5, 1.0),
+    lam=st.floats(0.0, 1.0),
+    seed=st.integers(0, 1000),
+)
+
 
 def _cut(lengths: list[int], *rows: Tensor) -> list[list[Tensor]]:
     ends = torch.tensor(lengths).cumsum(0).tolist()[:-1]
@@ -40,12 +47,7 @@ def slow_advantage(
     return found
 
 
-@given(
-    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
-    gamma=st.floats(0.5, 1.0),
-    lam=st.floats(0.0, 1.0),
-    seed=st.integers(0, 1000),
-)
+@any_segments
 @settings(deadline=None)
 def test_estimates_agree_with_the_definition(
     lengths: list[int], gamma: float, lam: float, seed: int
@@ -64,12 +66,7 @@ def test_estimates_agree_with_the_definition(
     torch.testing.assert_close(found.target, found.advantage + value)
 
 
-@given(
-    lengths=st.lists(st.integers(1, 6), min_size=1, max_size=4),
-    gamma=st.floats(0.5, 1.0),
-    lam=st.floats(0.0, 1.0),
-    seed=st.integers(0, 1000),
-)
+@any_segments
 @settings(deadline=None)
 def test_v_trace_agrees_with_the_sum_of_its_paper(
     lengths: list[int], gamma: float, lam: float, seed: int
