@@ -60,7 +60,7 @@ class OnPolicyTrainer:
         if saved is not None:
             self._algorithm.load(*saved)
         self.max_policy_lag: int | None = hyper.max_policy_lag
-        self.overlaps_learning = hyper.max_policy_lag > 0
+        self.overlaps_learning = hyper.act_while_learning
         self._stored: list[tuple[int, Segment]] = []
         self._batch: list[Segment] = []
         self._first_version = math.inf  # that the present networks were given, once they were

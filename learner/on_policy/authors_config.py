@@ -24,6 +24,7 @@ class AuthorsConfig(Settings):
 
     # Constants that the shared parts read.
     max_policy_lag: ClassVar[int] = 0  # paper, algorithm 1: one policy made the batch
+    act_while_learning: ClassVar[bool] = False  # the same
     norm_obs: ClassVar[bool] = False  # authors' code
     norm_return: ClassVar[bool] = False  # authors' code
     return_window_steps: ClassVar[int] = 1  # not used

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
-from a2s.learner.settings import Settings, check_most, setting
+from a2s.learner.settings import Settings, check_most, refuse, setting
 
 Init = Literal["uniform", "orthogonal"]
 LearningRateRule = Literal["constant", "anneal", "kl"]
@@ -45,9 +45,14 @@ class OnPolicyConfig(Settings):
     )
     max_policy_lag: int = setting(
         1,
-        "Versions that a segment may be behind; in lockstep, above 0: acting overlaps learning",
-        "acting and learning at the same time",
+        "Versions that a segment may be behind",
+        "async, and late ones; they are weighed for it",
         low=0,
+    )
+    act_while_learning: bool = setting(
+        False,
+        "Lockstep: the next batch is played while this one is learned from, a version behind",
+        "measured: Q then pulls where it knows nothing; docs/adr/0024",
     )
     gamma: float = setting(0.99, "Discount per step", "PPO paper, table 3", low=1e-6, high=1)
     gae_lambda: float = setting(
@@ -131,21 +136,21 @@ class OnPolicyConfig(Settings):
     )
     pull: float = setting(
         1.0,
-        "Equation 6: how much the suggestions pull, beside the policy gradient; 0: not at all",
+        "Equation 6: how much the suggestions pull at most, beside the policy gradient",
         "measured; docs/adr/0021",
         low=0e0,
         high=1e6,
     )
     pull_temperature: float = setting(
         0.1,
-        "Of the softmax over the K, in deviations of the advantage that Q was seen to be right of",
+        "Of a softmax over the K, in deviations of the advantage: it tells how strong the pull is",
         "measured; docs/adr/0021",
         low=1e-6,
         high=1e6,
     )
     pull_least_share: float = setting(
         0.9,
-        "The temperature is raised until so much of the K counts, mean over states",
+        "How far the pull goes: to the softmax at which so much of the K counts",
         "measured; docs/adr/0021",
         low=1e-6,
         high=1,
@@ -202,6 +207,8 @@ class OnPolicyConfig(Settings):
         Settings.__post_init__(self)
         check_most("first_batch_steps", self.first_batch_steps, "batch_steps", self.batch_steps)
         check_most("std_floor", self.std_floor, "std", self.std)
+        if self.act_while_learning and self.max_policy_lag == 0:
+            refuse("act_while_learning", True, "false where max_policy_lag is 0")
         check_most("last_std_floor", self.last_std_floor, "std_floor", self.std_floor)
 
     @property

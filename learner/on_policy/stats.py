@@ -32,7 +32,7 @@ class UpdateStats:
     q_explained_variance: float
     q_action_correlation: float
     q_slope: float
-    suggestions_share: float
+    pull_strength: float
     value_explained_variance: float
     advantage_std: float
     entropy: float
@@ -71,7 +71,7 @@ def update_stats(
         q_explained_variance=targets.q_explained_variance,
         q_action_correlation=targets.q_action_correlation,
         q_slope=state.calibration.slope,
-        suggestions_share=0.0 if pull is None else pull.share,
+        pull_strength=0.0 if pull is None else pull.strength,
         value_explained_variance=targets.value_explained_variance,
         entropy=float(entropy(state.policy.log_std)),
         std=float(state.policy.std().mean()),

@@ -10,15 +10,16 @@ from a2s.learner.on_policy import categorical
 from a2s.learner.on_policy.acting import as_q_sees, suggest
 
 _BISECTIONS = 24
+_MOST_DEVIATIONS = 100.0  # of scores, by the temperature: the best of the K alone counts there
 
 
 class Pull(NamedTuple):
-    """What K suggestions in each of N states want the policy to be."""
+    """What K suggestions in each of N states want the policy to be, and how much that counts."""
 
     mean: Tensor  # [N, A]
-    inverse_temperature: float  # per unit of Q's outputs
+    strength: float  # 0: Q is worth nothing; 1: it is trusted as far as it may be
+    inverse_temperature: float  # at which the K are weighed, per unit of Q's outputs
     act_inverse_temperature: float  # the same, of the actors
-    share: float  # of the K that counts, mean over states
 
 
 @torch.no_grad()
@@ -37,10 +38,13 @@ def pull_of_suggestions(
 ) -> Pull:
     """Draw K actions of the policy in every state, and weigh them by what Q says.
 
-    The weights are ``softmax(factor * q / temperature)``; ``factor`` turns Q's outputs to
-    deviations of the advantage (`Calibration`), and the temperature is raised until ``least_share``
-    of the K counts; in the actors, which choose by the same softmax, ``act_least_share``.
-    Observations are ``[N, D]``, means ``[N, A]``, deviations ``[A]``.
+    The weights are ``softmax(q / T)``, T being the one temperature at which ``least_share`` of the
+    K counts: so far the mean may be pulled. Whether it should be is a matter of ``strength``: what
+    T would be if Q is right, ``temperature / factor``, above that one makes the pull weaker, not
+    the way shorter. ``factor`` turns Q's outputs to deviations of the advantage (`Calibration`).
+    Actors choose by the same softmax at the T of a Q that is right, or where less than
+    ``act_least_share`` of the K would count, at a higher one. Observations are ``[N, D]``, means
+    ``[N, A]``, deviations ``[A]``.
 
     The mean that they want is the policy's own, which is known, and what the weights' departure
     from 1/K adds to it.
@@ -48,14 +52,15 @@ def pull_of_suggestions(
     normal = torch.randn(len(mean), suggestions, mean.shape[1], generator=generator)
     action = suggest(mean, std, normal)
     score = categorical.score(q_net, norm_obs, as_q_sees(action, "clip"))
-    inverse = limited_inverse_temperature(score, factor / temperature, least_share)
-    weight = (inverse * score).softmax(1)
+    right = factor / temperature
+    most = inverse_temperature_at(score, least_share)
+    weight = (most * score).softmax(1)
     tilt = (weight - 1.0 / suggestions).unsqueeze(2)
     return Pull(
         mean + (tilt * action).sum(1),
-        inverse,
-        limited_inverse_temperature(score, inverse, act_least_share),
-        share_that_counts(score, inverse),
+        min(right / most, 1.0) if most > 0 else 0.0,
+        most,
+        min(right, inverse_temperature_at(score, act_least_share)),
     )
 
 
@@ -70,14 +75,15 @@ def share_that_counts(score: Tensor, inverse_temperature: float) -> float:
     return float(count.mean()) / score.shape[1]
 
 
-def limited_inverse_temperature(score: Tensor, wanted: float, least_share: float) -> float:
-    """The wanted one, or the largest at which ``least_share`` of the K counts: one for all states.
+def inverse_temperature_at(score: Tensor, least_share: float) -> float:
+    """The largest at which ``least_share`` of the K counts, one for all states; scores ``[N, K]``.
 
-    Scores are ``[N, K]``.
+    0 where all scores are alike.
     """
-    if share_that_counts(score, wanted) >= least_share:
-        return wanted
-    low, high = 0.0, wanted
+    spread = float((score - score.mean(1, keepdim=True)).square().mean().sqrt())
+    if spread == 0.0:
+        return 0.0
+    low, high = 0.0, _MOST_DEVIATIONS / spread
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         if share_that_counts(score, middle) >= least_share:

@@ -229,9 +229,9 @@ class OnPolicy(TrainState):
         self, data: PolicyData, pull: Pull | None, learning_rate: float, progress: float
     ) -> PolicyChange:
         """Follow the policy gradient, and what the suggestions want."""
-        config = self.config
+        config, strength = self.config, 0.0
         if pull is not None and config.pull > 0:
-            data = replace(data, wanted=pull.mean)
+            data, strength = replace(data, wanted=pull.mean), pull.strength
         return improve(
             self.policy,
             self.adam["policy"],
@@ -242,7 +242,7 @@ class OnPolicy(TrainState):
             kl_stop=config.kl_stop,
             clip_ratio=config.clip_ratio,
             entropy_weight=config.entropy_weight,
-            pull=config.pull,
+            pull=config.pull * strength,
             std_floor=config.std_floor_at(progress),
             learning_rate=learning_rate,
             max_grad_norm=config.max_grad_norm,

@@ -69,8 +69,12 @@ def test_two_terminals_in_either_order(
 
 @pytest.mark.parametrize(
     "settings",
-    [pytest.param((), marks=pytest.mark.long), OFTEN],
-    ids=["without recovery", "with recoveries"],
+    [
+        pytest.param((), marks=pytest.mark.long),
+        OFTEN,
+        (*OFTEN, "--set", "act_while_learning=true"),
+    ],
+    ids=["without recovery", "with recoveries", "acting while learning"],
 )
 def test_lockstep_is_reproducible_to_the_bit(
     run_a2s: RunA2S, tmp_path: Path, settings: tuple[str, ...]

@@ -53,6 +53,15 @@ def test_fitting_q_touches_neither_policy_nor_value(preset: str, options: dict[s
     assert a2c_state.get("q") != a2s_state["q"]
 
 
+def test_a_q_that_is_not_known_to_be_worth_anything_changes_nothing() -> None:
+    """A first update is A2C's to the bit: nothing was seen of Q's opinion."""
+    a2c, a2s = make_a2c(), make(recovery="off")
+    batch = play(a2c, 0)
+    a2c.update(batch)
+    assert a2s.update(batch).pull_strength == 0.0
+    assert fingerprint(a2c)["policy"] == fingerprint(a2s)["policy"]
+
+
 @pytest.mark.parametrize(
     ("preset", "options"),
     [

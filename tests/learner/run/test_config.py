@@ -100,6 +100,10 @@ def test_overrides_are_read_by_the_type_of_their_field(
         ({"layer_norm": 1}, "layer_norm: found 1, expected true or false"),
         ({"q_sizes": "a,b"}, "q_sizes: found 'a,b', expected layer sizes such as 64,64"),
         ({"q_sizes": "64,0"}, "q_sizes: found 0, expected a whole number from 1 to 65536"),
+        (
+            {"act_while_learning": True, "max_policy_lag": 0},
+            "act_while_learning: found True, expected false where max_policy_lag is 0",
+        ),
         ({"std": 0.1}, r"std_floor: found 0.3, expected at most std \(0.1\)"),
         (
             {"last_std_floor": 0.4},
