@@ -160,7 +160,9 @@ class Actor:
                     self._name, environments, welcome.seed, self._metrics, self._troubles
                 )
             known = self._notice if welcome.clock == "lockstep" else None
+            begin_s = monotonic()
             notice = self._weights.other_than(known, self._wait_for_weights)
+            self._metrics.seconds.labels("waiting").inc(monotonic() - begin_s)
             if notice is None:
                 return
             # Versions that begin anew come from a learner without the earlier learner's past.
@@ -187,12 +189,13 @@ class Actor:
             if self._troubles.dropped_steps != dropped:  # known before the segment is learned from
                 dropped = self._troubles.dropped_steps
                 self._publish_status(leaving=False)
-            answered = self._outbox.answered
+            answered, begin_s = self._outbox.answered, monotonic()
             while not self._outbox.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
                 if self._outbox.answered > answered:  # the learner is there, and holds us back
                     answered, self._waiting_since_s = self._outbox.answered, None
                 self._say_waiting("room in the outbox: the learner has answered no segment")
             self._waiting_since_s = None
+            self._metrics.seconds.labels("sending").inc(monotonic() - begin_s)
 
     def _join(self, hello: Hello) -> Welcome | None:
         self._joining = hello
@@ -232,9 +235,12 @@ class Actor:
         return None
 
     def _pull(self) -> Suggester | None:
+        begin_s = monotonic()
         weights = self._weights.pull()
         if weights is None:
             self._stopped.wait(_ASK_AGAIN_S)
+        self._metrics.seconds.labels("waiting").inc(monotonic() - begin_s)
+        if weights is None:
             return None
         before, self._notice = self._notice, weights.notice
         if before is not None and weights.notice.epoch > before.epoch:
@@ -276,6 +282,7 @@ class Actor:
             doing="" if doing is None else str(doing),
             dropped_steps=self._troubles.dropped_steps,
             trouble=self._troubles.latest,
+            **{f"{doing}_s": seconds for doing, seconds in self._metrics.spent().items()},
         )
         self._bus.publish(self._keys.actor_status(self._name), encode(status))
 

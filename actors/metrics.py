@@ -82,6 +82,10 @@ class ActorMetrics:
         self.weights_received_bytes = self._counter(
             "weights_received_bytes", "Bytes of weights received."
         )
+        self.seconds = self._counter(
+            "seconds", "Where the time of the worker goes.",
+            doing="environment selection sending waiting",
+        )  # fmt: skip
         self.joins = self._counter("joins", "Times that this actor joined a learner.")
         self.cpu_seconds = self._counter("cpu_seconds", "Processor time of the worker process.")
 
@@ -121,6 +125,11 @@ class ActorMetrics:
 
     def _histogram(self, name: str, text: str, buckets: tuple[float, ...]) -> Histogram:
         return Histogram(f"a2s_actor_{name}", text, buckets=buckets, registry=self.registry)
+
+    def spent(self) -> dict[str, float]:
+        """Seconds so far by what they went into, by the values of the label ``doing``."""
+        samples = (sample for metric in self.seconds.collect() for sample in metric.samples)
+        return {sample.labels["doing"]: sample.value for sample in samples}
 
     def report(self) -> dict[str, Any]:
         """Give all counts, and the number of useful segments."""

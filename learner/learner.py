@@ -97,6 +97,7 @@ class Learner:
         """Learn from one batch; false if the wait for it was ended."""
         if not self._wait_for_batch(proceed):
             return False
+        begin_s = time.monotonic()
         self._saver.keep_best()
         if self._overlaps:
             self._publish()
@@ -106,6 +107,7 @@ class Learner:
         if outcome.recovered or not self._overlaps:
             self._publish()
         self._record(outcome)
+        self._status.learning_s += time.monotonic() - begin_s
         return True
 
     def _wait_for_batch(self, proceed: Callable[[str], bool]) -> bool:
@@ -206,4 +208,10 @@ class Learner:
         attendance = self._feed.attendance()
         self._metrics.actors.set(len(attendance.members))
         self._metrics.queue.set(attendance.pending_steps)
+        present = [m.status for m in attendance.members if m.status is not None]
+        limits = self._status.limits
+        limits.look(time.monotonic(), self._status.learning_s, present)
+        if shares := limits.shares():
+            for part, share in shares._asdict().items():
+                self._metrics.time_share.labels(part=part).set(share)
         self._view.show(self._status, attendance.members, kl)

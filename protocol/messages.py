@@ -250,6 +250,10 @@ class ActorStatus:
     doing: str = ""  # the call into an environment that it is in, and for how long; empty: none
     dropped_steps: int = 0  # steps whose numbers could not be used
     trouble: str = ""  # the latest dropped step or cut episode in one line; empty: none
+    environment_s: float = 0.0  # seconds so far in which environments were stepped
+    selection_s: float = 0.0  # the same: actions were chosen
+    sending_s: float = 0.0  # there was no room for a segment
+    waiting_s: float = 0.0  # there were no new weights
 
     def __post_init__(self) -> None:
         """Check the name: it is shown, and kept before the actor has joined."""
@@ -273,3 +277,5 @@ class RunStatus:
     env_steps_per_s: float
     waiting_for: str
     actors: tuple[ActorStatus, ...]
+    learning_s: float = 0.0  # seconds of this learner so far in which it did not wait for a batch
+    limited_by: str = ""  # learner, environment, selection or network; empty: not known yet

@@ -56,6 +56,9 @@ class LearnerMetrics:
             "messages_refused", "Unusable messages, by kind and reason.", "message", "reason"
         )
         self.starved = self._counter("starved_seconds", "Time spent waiting for a batch.")
+        self.time_share = self._gauge(
+            "time_share", "What the last ten seconds went into, here and at the actors.", "part"
+        )
         self.joins = self._counter("actor_joins", "Actors that joined.")
         self.leaves = self._counter("actor_leaves", "Actors that left.", "reason")
         self.actors = self._gauge("actors", "Actors present.")

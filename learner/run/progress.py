@@ -11,6 +11,7 @@ from rich.text import Text
 
 from a2s.learner.ingest.members import Member
 from a2s.learner.numerals import written
+from a2s.learner.run.limits import Shares
 from a2s.learner.run.status import Status
 
 _BARS = " ▁▂▃▄▅▆▇█"
@@ -55,6 +56,8 @@ class PlainView:
             f"recoveries={status.num_recoveries} actors={len(members)}"
         )
         line += "".join(f" {name}={mean:.3g}" for name, mean in episodes.mean_metrics.items())
+        shares = status.limits.shares()
+        line += f" limited_by={shares.largest}" if shares else ""
         line += f" waiting_for={status.waiting_for!r}" if status.waiting_for else ""
         self._out.write(line + "\n")
         self._out.flush()
@@ -137,6 +140,8 @@ def _lines(
         f"episodes {episodes.count:,}  updates {status.updates:,}"
         + ("" if kl is None else f"  KL {kl:.4f}")
     )
+    if shares := status.limits.shares():
+        yield limits_line(shares)
     yield (
         f"actors {len(members)} with {num_envs} environments  version {status.version}  "
         f"recoveries {status.num_recoveries}"
@@ -145,6 +150,12 @@ def _lines(
         yield "  ".join(f"{name} {mean:.3g}" for name, mean in [*metrics.items()][:3])
     if status.waiting_for and waited_s > _PATIENCE_S:
         yield f"waiting {waited_s:.0f} s for {status.waiting_for}"
+
+
+def limits_line(shares: Shares) -> str:
+    """Name what limits the run, and the shares."""
+    parts = ", ".join(f"{name} {share:.0%}" for name, share in shares._asdict().items())
+    return f"limited by {shares.largest}: {parts} of the time"
 
 
 def thin(curve: list[float]) -> list[float]:

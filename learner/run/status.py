@@ -10,6 +10,7 @@ from typing import Any
 from a2s.learner.feed import Attendance
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.limits import Limits
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.messages import RunStatus
 
@@ -31,6 +32,8 @@ class Status:
         num_recoveries: Called ``epoch`` on the wire.
         best_recent: Best mean return of 10 episodes in a row; ``None`` before the first.
         waiting_for: What the loop waits for; empty while it learns.
+        learning_s: Seconds since this learner started in which it did not wait for a batch.
+        limits: What the seconds of learner and actors go into.
         worked_s: Seconds that earlier starts took.
         began_s: When this learner started, on the monotonic clock.
     """
@@ -47,6 +50,8 @@ class Status:
     num_recoveries: int = 0
     best_recent: float | None = None
     waiting_for: str = ""
+    learning_s: float = 0.0
+    limits: Limits = field(default_factory=Limits)
     worked_s: float = 0.0
     began_s: float = field(default_factory=time.monotonic)
 
@@ -99,6 +104,8 @@ class Status:
             env_steps_per_s=self.env_steps_per_s,
             waiting_for=self.waiting_for,
             actors=tuple(m.status for m in members if m.status is not None),
+            learning_s=self.learning_s,
+            limited_by="" if (shares := self.limits.shares()) is None else shares.largest,
         )
 
     def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:

@@ -78,6 +78,21 @@ app.command()(run_cli.train)
 
 
 @app.command()
+def status(
+    run: options.Run = None,
+    connect: options.Connect = DEFAULT_ENDPOINT,
+    watch: Annotated[bool, typer.Option("--watch", help="Every second, until its end.")] = False,
+    json_: options.Json = False,
+) -> None:
+    """Look at a live run: its progress, what limits it, and what each actor does."""
+    from a2s.commands.process import stop_on_signals
+    from a2s.commands.status import status as look
+
+    with stop_on_signals() as stop:
+        look(run or "default", connect, watch=watch, as_json=json_, stop=stop)
+
+
+@app.command()
 def evaluate(
     context: typer.Context,
     run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],

@@ -52,6 +52,19 @@ def test_a_segment_is_what_happened_and_no_more(
     assert (second.episode_return, second.episode_length, second.seq) == (3.0, 2, 1)
 
 
+def test_the_time_of_who_takes_a_segment_is_not_the_environments(
+    make_graph: MakeGraph, make_notice: MakeNotice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a clock that moves only while it has one."""
+    now_s = [0.0]
+    monkeypatch.setattr("a2s.actors.rollout.perf_counter", lambda: now_s[0])
+    metrics = ActorMetrics()
+    rollout = _rollout("Count", 1, metrics)
+    for _ in rollout.play(Suggester(make_graph()), make_notice(quota_steps=7), _never):
+        now_s[0] += 100.0
+    assert metrics.spent()["environment"] == 0.0
+
+
 def test_an_episode_goes_on_under_the_next_weights(
     make_graph: MakeGraph, make_notice: MakeNotice
 ) -> None:

@@ -64,11 +64,20 @@ NOTICE_FIELDS = (
 STATUS = ActorStatus(
     actor="h-1", slot=0, weights_version=2, epoch=0, env_steps=128, episodes=1, segments_sent=3,
     segments_answered=2, spooled_steps=5, leaving=True, doing="d", dropped_steps=4, trouble="t",
+    environment_s=0.5, selection_s=0.5, sending_s=0.5, waiting_s=0.5,
 )  # fmt: skip
 STATUS_FIELDS = (
     b"\xa5actor\xa3h-1\xa4slot\x00\xafweights_version\x02\xa5epoch\x00\xa9env_steps\xcc\x80"
     b"\xa8episodes\x01\xadsegments_sent\x03\xb1segments_answered\x02\xadspooled_steps\x05"
     b"\xa7leaving\xc3\xa5doing\xa1d\xaddropped_steps\x04\xa7trouble\xa1t"
+    b"\xadenvironment_s"
+    + FLOAT64_HALF
+    + b"\xabselection_s"
+    + FLOAT64_HALF
+    + b"\xa9sending_s"
+    + FLOAT64_HALF
+    + b"\xa9waiting_s"
+    + FLOAT64_HALF
 )
 GOLDEN: list[tuple[Message, bytes]] = [
     (
@@ -127,18 +136,19 @@ GOLDEN: list[tuple[Message, bytes]] = [
         b"\xa1r" + FLOAT64_HALF + b"\xa6r_best" + FLOAT64_HALF +
         b"\xb0restored_version\x03\xafweights_version\x04",
     ),
-    (STATUS, b"\x8f\xa3a2s\x02\xa4kind\xabActorStatus" + STATUS_FIELDS),
+    (STATUS, b"\xde\x00\x13\xa3a2s\x02\xa4kind\xabActorStatus" + STATUS_FIELDS),
     (
         RunStatus(
             run="r", generation=1, env_id="E", env_steps=2, total_steps=3, episodes=4, updates=5,
             weights_version=6, epoch=7, return_mean=0.5, env_steps_per_s=0.5, waiting_for="",
-            actors=(STATUS,),
+            actors=(STATUS,), learning_s=0.5, limited_by="network",
         ),
-        b"\x8f\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\xde\x00\x11\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
         b"\xa9env_steps\x02\xabtotal_steps\x03\xa8episodes\x04\xa7updates\x05"
         b"\xafweights_version\x06\xa5epoch\x07\xabreturn_mean" + FLOAT64_HALF +
         b"\xafenv_steps_per_s" + FLOAT64_HALF + b"\xabwaiting_for\xa0"
-        b"\xa6actors\x91\x8d" + STATUS_FIELDS,
+        b"\xa6actors\x91\xde\x00\x11" + STATUS_FIELDS +
+        b"\xaalearning_s" + FLOAT64_HALF + b"\xaalimited_by\xa7network",
     ),
     (
         ReplayInfo(run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3),
@@ -177,7 +187,11 @@ DEFAULTS: dict[type, dict[str, object]] = {
     Hello: {"cause": "", "slot": -1},
     Welcome: {"env": None},
     Segment: {"metrics": ()},
-    ActorStatus: {"doing": "", "dropped_steps": 0, "trouble": ""},
+    ActorStatus: {
+        "doing": "", "dropped_steps": 0, "trouble": "",
+        "environment_s": 0.0, "selection_s": 0.0, "sending_s": 0.0, "waiting_s": 0.0,
+    },
+    RunStatus: {"learning_s": 0.0, "limited_by": ""},
 }  # fmt: skip
 
 

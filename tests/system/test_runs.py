@@ -141,6 +141,32 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     assert [event["generation"] for event in events(path, "start")] == [1, 2]
 
 
+def test_a_live_run_is_watched_to_its_end(
+    start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
+) -> None:
+    """From another terminal, by its name; every look is one JSON object."""
+    place = ("--listen", endpoint, "--metrics-port", "-1", "--run", "seen", "--run-dir", "seen")
+    learner = start("learner", *REACH, *FAST, *place, "--total-steps", "20000", "--n", "1")
+    actor = start("actor", "--connect", endpoint, "--run", "seen", "--metrics-port", "-1")
+    wait_for(lambda: _updates(tmp_path / "seen") >= 1, "an update")
+    look = ("--connect", endpoint, "--json")
+    watcher = start("status", "--watch", "--run", "seen", *look)
+    stranger = start("status", *look)
+    assert stranger.process.wait(PATIENCE_S) == 1
+    assert "no answer for run 'default'" in stranger.text()
+    assert learner.process.wait(PATIENCE_S) == 0, learner.text()
+    assert watcher.process.wait(PATIENCE_S) == 0, watcher.text()
+    assert actor.end(signal.SIGINT) == 130
+    looks = [json.loads(line) for line in watcher.text().splitlines() if line.startswith("{")]
+    steps = [each["env_steps"] for each in looks]
+    assert steps == sorted(steps)
+    assert steps[-1] > steps[0] > 0
+    assert {each["run"] for each in looks} == {"seen"}
+    last = looks[-1]
+    assert last["limited_by"] in ("learner", "environment", "selection", "network")
+    assert last["actors"][0]["environment_s"] > 0
+
+
 @pytest.mark.long
 def test_actors_go_on_with_a_learner_that_begins_anew(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor

@@ -1,0 +1,110 @@
+"""``a2s status``: one look at a live run, or one after the other."""
+
+import json
+import math
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import asdict
+from datetime import timedelta
+
+import typer
+
+from a2s.learner.numerals import written
+from a2s.protocol.codec import decode
+from a2s.protocol.errors import UnreachableError
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import ActorStatus, RunStatus
+from a2s.protocol.transport import Bus
+from a2s.protocol.zenoh_bus import ZenohBus
+
+_TIMEOUT_S = 5.0
+_EVERY_S = 1.0
+_CLEAR = "\x1b[H\x1b[2J"
+
+
+def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threading.Event) -> None:
+    """Print what the learner of a run tells of it; with ``watch`` every second, while it is there.
+
+    Raises:
+        UnreachableError: Nobody listens there, or the run has another name.
+    """
+    keys = Keys(run)
+    is_terminal = typer.get_text_stream("stdout").isatty()
+    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+        told = _ask(bus, keys)
+        if told is None:
+            raise UnreachableError(
+                f"{connect}: no answer for run {run!r}; name another with --run, "
+                "or look whether its learner is up"
+            )
+        while not stop.is_set():
+            text = json.dumps(_as_json(told)) if as_json else "\n".join(page(told))
+            typer.echo(f"{_CLEAR if watch and is_terminal and not as_json else ''}{text}")
+            if not watch or told.env_steps >= told.total_steps:
+                return
+            stop.wait(_EVERY_S)
+            told = _ask(bus, keys)
+            if told is None:
+                typer.echo(f"run {run}: its learner has gone", err=True)
+                return
+
+
+def page(told: RunStatus) -> Iterator[str]:
+    """Write a status as lines for a reader."""
+    done = told.env_steps / told.total_steps
+    line = f"run {told.run}  {told.env_id}  "
+    line += f"{told.env_steps:,} of {told.total_steps:,} steps ({done:.0%})"
+    if told.env_steps_per_s > 0:
+        left_s = round(max(0, told.total_steps - told.env_steps) / told.env_steps_per_s)
+        line += f"  {told.env_steps_per_s:,.0f} steps/s  {timedelta(seconds=left_s)} left"
+    yield line
+    mean = "-" if math.isnan(told.return_mean) else written(told.return_mean)
+    yield (
+        f"return {mean}  episodes {told.episodes:,}  updates {told.updates:,}  "
+        f"version {told.weights_version}  recoveries {told.epoch}"
+    )
+    if told.limited_by:
+        yield f"limited by {told.limited_by}"
+    if told.waiting_for:
+        yield f"waiting for {told.waiting_for}"
+    yield from _table([_HEAD, *(_row(told, actor) for actor in told.actors)])
+    for actor in told.actors:
+        if actor.doing and not actor.doing.endswith(" for 0 s"):
+            yield f"{actor.actor}: {actor.doing}"
+        if actor.trouble:
+            yield f"{actor.actor}: {actor.trouble} ({actor.dropped_steps:,} steps dropped so far)"
+
+
+_HEAD = ("actor", "slot", "behind", "steps", "episodes", "unanswered", "stepping", "choosing")
+
+
+def _row(told: RunStatus, actor: ActorStatus) -> tuple[str, ...]:
+    spent_s = actor.environment_s + actor.selection_s + actor.sending_s + actor.waiting_s
+    parts = (actor.environment_s, actor.selection_s)
+    shares = (f"{part / spent_s:.0%}" if spent_s > 0 else "-" for part in parts)
+    behind = max(0, told.weights_version - actor.weights_version)
+    unanswered = max(0, actor.segments_sent - actor.segments_answered)
+    numbers = (actor.slot, behind, actor.env_steps, actor.episodes, unanswered)
+    return (actor.actor, *(f"{number:,}" for number in numbers), *shares)
+
+
+def _table(rows: list[tuple[str, ...]]) -> Iterable[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for first, *others in rows:
+        cells = [first.ljust(widths[0])]
+        cells += [cell.rjust(w) for cell, w in zip(others, widths[1:], strict=True)]
+        yield "  ".join(cells).rstrip()
+
+
+def _ask(bus: Bus, keys: Keys) -> RunStatus | None:
+    answer = bus.ask(keys.status, b"", _TIMEOUT_S)
+    told = None if answer is None else decode(answer, RunStatus)
+    assert told is None or isinstance(told, RunStatus)
+    return told
+
+
+def _as_json(told: RunStatus) -> dict[str, object]:
+    found = asdict(told)
+    found["return_mean"] = None if math.isnan(told.return_mean) else told.return_mean
+    return found
