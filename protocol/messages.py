@@ -279,3 +279,4 @@ class RunStatus:
     actors: tuple[ActorStatus, ...]
     learning_s: float = 0.0  # seconds of this learner so far in which it did not wait for a batch
     limited_by: str = ""  # learner, environment, selection or network; empty: not known yet
+    unix_s: float = 0.0  # the learner's clock when it answered; 0: not told

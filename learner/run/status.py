@@ -106,6 +106,7 @@ class Status:
             actors=tuple(m.status for m in members if m.status is not None),
             learning_s=self.learning_s,
             limited_by="" if (shares := self.limits.shares()) is None else shares.largest,
+            unix_s=time.time(),
         )
 
     def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:

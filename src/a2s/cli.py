@@ -93,6 +93,28 @@ def status(
 
 
 @app.command()
+def doctor(
+    connect: Annotated[
+        str | None,
+        options.option(None, "--connect", metavar="ENDPOINT", help="A learner that must answer."),
+    ] = None,
+    run: options.Run = None,
+    json_: options.Json = False,
+) -> None:
+    """Check this machine and the way to the learner; say how to mend what is wrong."""
+    from a2s.commands.doctor import examine, line
+
+    findings = []
+    for finding in examine(connect, run or "default"):
+        findings.append(finding)
+        if not json_:
+            typer.echo(line(finding))
+    if json_:
+        typer.echo(json.dumps([finding._asdict() for finding in findings]))
+    raise typer.Exit(EXIT_FAILED if any(each.state == "fail" for each in findings) else 0)
+
+
+@app.command()
 def evaluate(
     context: typer.Context,
     run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],

@@ -141,12 +141,12 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     assert [event["generation"] for event in events(path, "start")] == [1, 2]
 
 
-def test_a_live_run_is_watched_to_its_end(
+def test_a_live_run_is_watched_and_found_by_the_doctor(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:
     """From another terminal, by its name; every look is one JSON object."""
     place = ("--listen", endpoint, "--metrics-port", "-1", "--run", "seen", "--run-dir", "seen")
-    learner = start("learner", *REACH, *FAST, *place, "--total-steps", "20000", "--n", "1")
+    learner = start("learner", *REACH, *FAST, *place, "--total-steps", "10000000", "--n", "1")
     actor = start("actor", "--connect", endpoint, "--run", "seen", "--metrics-port", "-1")
     wait_for(lambda: _updates(tmp_path / "seen") >= 1, "an update")
     look = ("--connect", endpoint, "--json")
@@ -154,7 +154,14 @@ def test_a_live_run_is_watched_to_its_end(
     stranger = start("status", *look)
     assert stranger.process.wait(PATIENCE_S) == 1
     assert "no answer for run 'default'" in stranger.text()
-    assert learner.process.wait(PATIENCE_S) == 0, learner.text()
+    for run, code, state in (("seen", 0, "ok"), ("other", 1, "fail")):
+        doctor = start("doctor", "--connect", endpoint, "--run", run, "--json")
+        assert doctor.process.wait(PATIENCE_S) == code, doctor.text()
+        findings = json.loads(doctor.text().splitlines()[-1])
+        states = {each["name"]: each["state"] for each in findings}
+        assert states["learner"] == state
+        assert "fail" not in {states[name] for name in states if name != "learner"}
+    assert learner.end(signal.SIGINT) == 130
     assert watcher.process.wait(PATIENCE_S) == 0, watcher.text()
     assert actor.end(signal.SIGINT) == 130
     looks = [json.loads(line) for line in watcher.text().splitlines() if line.startswith("{")]
