@@ -155,7 +155,7 @@ class OnPolicyConfig(Settings):
         high=1e6,
     )
     pull_least_share: float = setting(
-        0.9,
+        0.95,
         "How far the pull goes: to the softmax at which so much of the K counts",
         "measured; docs/adr/0021",
         low=1e-6,
