@@ -39,12 +39,11 @@ def pull_of_suggestions(
     """Draw K actions of the policy in every state, and weigh them by what Q says.
 
     The weights are ``softmax(q / T)``, T being the one temperature at which ``least_share`` of the
-    K counts: so far the mean may be pulled. Whether it should be is a matter of ``strength``: what
-    T would be if Q is right, ``temperature / factor``, above that one makes the pull weaker, not
-    the way shorter. ``factor`` turns Q's outputs to deviations of the advantage (`Calibration`).
-    Actors choose by the same softmax at the T of a Q that is right, or where less than
-    ``act_least_share`` of the K would count, at a higher one. Observations are ``[N, D]``, means
-    ``[N, A]``, deviations ``[A]``.
+    K counts: so far the mean is pulled. ``strength`` is how much that counts: T by the temperature
+    that Q deserves, ``temperature / factor``, at most 1. ``factor`` turns Q's outputs to deviations
+    of the advantage, as far as they were seen to be true (`Calibration`). Actors choose by the
+    softmax at the temperature that Q deserves, or at the higher one at which ``act_least_share`` of
+    the K counts. Observations are ``[N, D]``, means ``[N, A]``, deviations ``[A]``.
 
     The mean that they want is the policy's own, which is known, and what the weights' departure
     from 1/K adds to it.
@@ -52,15 +51,15 @@ def pull_of_suggestions(
     normal = torch.randn(len(mean), suggestions, mean.shape[1], generator=generator)
     action = suggest(mean, std, normal)
     score = categorical.score(q_net, norm_obs, as_q_sees(action, "clip"))
-    right = factor / temperature
+    deserved = factor / temperature
     most = inverse_temperature_at(score, least_share)
     weight = (most * score).softmax(1)
     tilt = (weight - 1.0 / suggestions).unsqueeze(2)
     return Pull(
         mean + (tilt * action).sum(1),
-        min(right / most, 1.0) if most > 0 else 0.0,
+        min(deserved / most, 1.0) if most > 0 else 0.0,
         most,
-        min(right, inverse_temperature_at(score, act_least_share)),
+        min(deserved, inverse_temperature_at(score, act_least_share)),
     )
 
 
