@@ -53,13 +53,14 @@ class Limits:
         self._looks.append(_Look(now_s, learning_s, spent))
 
     def shares(self) -> Shares | None:
-        """The shares, over the actors that were there all the time; ``None`` while not known."""
-        if len(self._looks) < 2:
+        """The shares, since the oldest look at an actor that is still there; ``None``: not known."""
+        looks = list(self._looks)  # at once: others ask, too
+        known = (each for each in looks[:-1] if each.actors.keys() & looks[-1].actors.keys())
+        first = next(known, None)
+        if first is None:
             return None
-        first, last = self._looks[0], self._looks[-1]
+        last = looks[-1]
         both = first.actors.keys() & last.actors.keys()
-        if not both:
-            return None
         seconds = last.now_s - first.now_s
         means = [
             sum(last.actors[name][part] - first.actors[name][part] for name in both) / len(both)

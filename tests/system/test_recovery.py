@@ -25,13 +25,19 @@ def _table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.parametrize(
+    "overlaps",
+    [False, pytest.param(True, marks=pytest.mark.long)],
+    ids=["in turns", "acting while learning"],
+)
 def test_recoveries_are_journaled_followed_and_replayable(
-    start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
+    start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor, overlaps: bool
 ) -> None:
     path = tmp_path / "run"
     learner = start(
         "learner", *REACH, *FAST, *OFTEN, "--listen", endpoint, "--run-dir", str(path),
         "--total-steps", "6000", "--metrics-port", "-1", "--n", "2",
+        "--set", f"act_while_learning={str(overlaps).lower()}",
     )  # fmt: skip
     wait_for(lambda: "/metrics" in learner.text() or "off" in learner.text(), "the learner")
     heard: list[RecoveryEvent] = []
@@ -59,7 +65,7 @@ def test_recoveries_are_journaled_followed_and_replayable(
     rule = Recovery(rule="invariant", bias=0.0, statistic="mean", episodes=0)
     episodes = _table(path / "episodes.csv")
     for row in updates:
-        made_by = str(int(row["weights_version"]) - 1 - int(row["recovered"]))
+        made_by = str(int(row["weights_version"]) - 1 - overlaps * int(row["recovered"]))
         returns = [float(e["return"]) for e in episodes if e["weights_version"] == made_by]
         decision = rule.judge(returns, float(row["recovery_draw"]))
         assert decision.recover is (row["recovered"] == "1"), row

@@ -63,6 +63,13 @@ def test_only_actors_that_were_there_all_the_time_count() -> None:
     assert found == pytest.approx((0.25, 0.5, 0.0, 0.25))
 
 
+def test_it_is_known_as_soon_as_an_actor_was_seen_twice() -> None:
+    """The learner had waited for it for a minute; another had been there before."""
+    there, later = spent(A, 1.0, 0.0), spent(A, 2.0, 0.0)
+    found = after((0.0, 0.0, []), (58.0, 0.0, [B]), (60.0, 0.0, [there]), (64.0, 1.0, [later]))
+    assert found == pytest.approx((0.25, 0.25, 0.0, 0.5))
+
+
 def test_looks_are_a_second_apart_and_ten_are_remembered() -> None:
     """An hour of stepping is forgotten ten seconds after it ended."""
     looks = [(0.0, 0.0, [A]), (3600.0, 0.0, [spent(A, 3600.0, 0.0)])]
