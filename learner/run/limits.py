@@ -53,7 +53,7 @@ class Limits:
         self._looks.append(_Look(now_s, learning_s, spent))
 
     def shares(self) -> Shares | None:
-        """The shares, since the oldest look at an actor that is still there; ``None``: not known."""
+        """The shares since the oldest look at an actor that is still there; ``None``: unknown."""
         looks = list(self._looks)  # at once: others ask, too
         known = (each for each in looks[:-1] if each.actors.keys() & looks[-1].actors.keys())
         first = next(known, None)
