@@ -22,7 +22,7 @@ from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Welcome
+from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)
@@ -160,9 +160,8 @@ class Actor:
                     self._name, environments, welcome.seed, self._metrics, self._troubles
                 )
             known = self._notice if welcome.clock == "lockstep" else None
-            begin_s = monotonic()
-            notice = self._weights.other_than(known, self._wait_for_weights)
-            self._metrics.seconds.labels("waiting").inc(monotonic() - begin_s)
+            with self._metrics.spending("waiting"):
+                notice = self._weights.other_than(known, self._wait_for_weights)
             if notice is None:
                 return
             # Versions that begin anew come from a learner without the earlier learner's past.
@@ -171,7 +170,8 @@ class Actor:
                 welcome = self._join(replace(hello, cause=""))
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
-                suggester = self._pull() or suggester
+                with self._metrics.spending("waiting"):
+                    suggester = self._pull() or suggester
                 if welcome.clock == "async" and self._notice is not None:
                     # A segment that waits long was made with outdated weights.
                     quota_steps = self._notice.quota_steps * len(environments)
@@ -189,13 +189,16 @@ class Actor:
             if self._troubles.dropped_steps != dropped:  # known before the segment is learned from
                 dropped = self._troubles.dropped_steps
                 self._publish_status(leaving=False)
-            answered, begin_s = self._outbox.answered, monotonic()
-            while not self._outbox.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
-                if self._outbox.answered > answered:  # the learner is there, and holds us back
-                    answered, self._waiting_since_s = self._outbox.answered, None
-                self._say_waiting("room in the outbox: the learner has answered no segment")
-            self._waiting_since_s = None
-            self._metrics.seconds.labels("sending").inc(monotonic() - begin_s)
+            with self._metrics.spending("sending"):
+                self._put(segment)
+
+    def _put(self, segment: Segment) -> None:
+        answered = self._outbox.answered
+        while not self._outbox.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
+            if self._outbox.answered > answered:  # the learner is there, and holds us back
+                answered, self._waiting_since_s = self._outbox.answered, None
+            self._say_waiting("room in the outbox: the learner has answered no segment")
+        self._waiting_since_s = None
 
     def _join(self, hello: Hello) -> Welcome | None:
         self._joining = hello
@@ -235,12 +238,9 @@ class Actor:
         return None
 
     def _pull(self) -> Suggester | None:
-        begin_s = monotonic()
         weights = self._weights.pull()
         if weights is None:
             self._stopped.wait(_ASK_AGAIN_S)
-        self._metrics.seconds.labels("waiting").inc(monotonic() - begin_s)
-        if weights is None:
             return None
         before, self._notice = self._notice, weights.notice
         if before is not None and weights.notice.epoch > before.epoch:

@@ -126,6 +126,13 @@ class ActorMetrics:
     def _histogram(self, name: str, text: str, buckets: tuple[float, ...]) -> Histogram:
         return Histogram(f"a2s_actor_{name}", text, buckets=buckets, registry=self.registry)
 
+    @contextlib.contextmanager
+    def spending(self, doing: str) -> Iterator[None]:
+        """Count the time of a block, by a value of the label ``doing``."""
+        begin_s = time.monotonic()
+        yield
+        self.seconds.labels(doing).inc(time.monotonic() - begin_s)
+
     def spent(self) -> dict[str, float]:
         """Seconds so far by what they went into, by the values of the label ``doing``."""
         samples = (sample for metric in self.seconds.collect() for sample in metric.samples)

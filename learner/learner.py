@@ -11,6 +11,7 @@ from typing import Any
 
 from a2s.learner.feed import Arrival, Feed
 from a2s.learner.ingest.clock import clock_of
+from a2s.learner.ingest.members import Member
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
 from a2s.learner.run.metrics import LearnerMetrics
@@ -208,10 +209,12 @@ class Learner:
         attendance = self._feed.attendance()
         self._metrics.actors.set(len(attendance.members))
         self._metrics.queue.set(attendance.pending_steps)
-        present = [m.status for m in attendance.members if m.status is not None]
-        limits = self._status.limits
-        limits.look(time.monotonic(), self._status.learning_s, present)
-        if shares := limits.shares():
-            for part, share in shares._asdict().items():
-                self._metrics.time_share.labels(part=part).set(share)
+        self._look_at_limits(attendance.members)
         self._view.show(self._status, attendance.members, kl)
+
+    def _look_at_limits(self, members: Sequence[Member]) -> None:
+        limits = self._status.limits
+        statuses = (member.status for member in members if member.status is not None)
+        if limits.look(time.monotonic(), self._status.learning_s, statuses) and limits.shares:
+            for part, share in limits.shares._asdict().items():
+                self._metrics.time_share.labels(part=part).set(share)

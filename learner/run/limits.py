@@ -1,7 +1,7 @@
 """What limits a run: what most of the last seconds went into, at the learner and at its actors."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from a2s.protocol.messages import ActorStatus
@@ -40,33 +40,42 @@ class _Look(NamedTuple):
 
 
 class Limits:
-    """Looks at the counts of learner and actors about once a second, and compares the last ten."""
+    """Looks at the counts of learner and actors about once a second, and compares the last ten.
+
+    Attributes:
+        shares: Since the oldest look at an actor that is still there; ``None`` while unknown.
+    """
 
     def __init__(self) -> None:
         self._looks: deque[_Look] = deque(maxlen=_WINDOW)
+        self.shares: Shares | None = None
 
-    def look(self, now_s: float, learning_s: float, actors: Sequence[ActorStatus]) -> None:
-        """Take counts into account if it is time to: seconds so far, and now on any clock."""
+    def look(self, now_s: float, learning_s: float, actors: Iterable[ActorStatus]) -> bool:
+        """Take counts into account if it is time to, and say so.
+
+        They are in seconds so far, and ``now_s`` is on any clock.
+        """
         if self._looks and now_s - self._looks[-1].now_s < _EVERY_S:
-            return
+            return False
         spent = {each.actor: (each.environment_s, each.selection_s) for each in actors}
-        self._looks.append(_Look(now_s, learning_s, spent))
+        last = _Look(now_s, learning_s, spent)
+        known = (each for each in self._looks if each.actors.keys() & spent.keys())
+        self.shares = _compare(next(known, last), last)
+        self._looks.append(last)
+        return True
 
-    def shares(self) -> Shares | None:
-        """The shares since the oldest look at an actor that is still there; ``None``: unknown."""
-        looks = list(self._looks)  # at once: others ask, too
-        known = (each for each in looks[:-1] if each.actors.keys() & looks[-1].actors.keys())
-        first = next(known, None)
-        if first is None:
-            return None
-        last = looks[-1]
-        both = first.actors.keys() & last.actors.keys()
-        seconds = last.now_s - first.now_s
-        means = [
-            sum(last.actors[name][part] - first.actors[name][part] for name in both) / len(both)
-            for part in (0, 1)
-        ]
-        learner = (last.learning_s - first.learning_s) / seconds
-        environment, selection = (mean / seconds for mean in means)
-        network = max(0.0, 1.0 - learner - environment - selection)
-        return Shares(learner, environment, selection, network)
+
+def _compare(first: _Look, last: _Look) -> Shares | None:
+    """Shares between two looks; ``None`` between a look and itself."""
+    if first is last:
+        return None
+    both = first.actors.keys() & last.actors.keys()
+    seconds = last.now_s - first.now_s
+    means = [
+        sum(last.actors[name][part] - first.actors[name][part] for name in both) / len(both)
+        for part in (0, 1)
+    ]
+    learner = (last.learning_s - first.learning_s) / seconds
+    environment, selection = (mean / seconds for mean in means)
+    network = max(0.0, 1.0 - learner - environment - selection)
+    return Shares(learner, environment, selection, network)

@@ -56,7 +56,7 @@ class PlainView:
             f"recoveries={status.num_recoveries} actors={len(members)}"
         )
         line += "".join(f" {name}={mean:.3g}" for name, mean in episodes.mean_metrics.items())
-        shares = status.limits.shares()
+        shares = status.limits.shares
         line += f" limited_by={shares.largest}" if shares else ""
         line += f" waiting_for={status.waiting_for!r}" if status.waiting_for else ""
         self._out.write(line + "\n")
@@ -140,7 +140,7 @@ def _lines(
         f"episodes {episodes.count:,}  updates {status.updates:,}"
         + ("" if kl is None else f"  KL {kl:.4f}")
     )
-    if shares := status.limits.shares():
+    if shares := status.limits.shares:
         yield limits_line(shares)
     yield (
         f"actors {len(members)} with {num_envs} environments  version {status.version}  "

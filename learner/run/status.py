@@ -105,7 +105,7 @@ class Status:
             waiting_for=self.waiting_for,
             actors=tuple(m.status for m in members if m.status is not None),
             learning_s=self.learning_s,
-            limited_by="" if (shares := self.limits.shares()) is None else shares.largest,
+            limited_by=self.limits.shares.largest if self.limits.shares else "",
             unix_s=time.time(),
         )
 

@@ -7,11 +7,15 @@ import typer
 from a2s.actors.actor import Task
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
-from a2s.commands.process import EXIT_INTERRUPTED, log_warnings, serve_on, stop_on_signals
+from a2s.commands.process import (
+    ACTOR_METRICS_PORT,
+    EXIT_INTERRUPTED,
+    log_warnings,
+    serve_on,
+    stop_on_signals,
+)
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import check_endpoint
-
-METRICS_PORT = 9465
 
 
 def act(
@@ -49,7 +53,9 @@ def act(
     ]
     fleet, url = Fleet(n), "off"
     if metrics_port != -1:
-        bound = serve_on(metrics_port, METRICS_PORT, lambda port: serve(fleet, metrics_host, port))
+        bound = serve_on(
+            metrics_port, ACTOR_METRICS_PORT, lambda port: serve(fleet, metrics_host, port)
+        )
         url = f"http://{metrics_host}:{bound}/metrics"
     typer.echo(f"a2s actor: {n} processes for run {run}")
     typer.echo(f"  connect     {connect}\n  metrics     {url}")

@@ -15,32 +15,23 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from a2s import __version__
-from a2s.commands.actor import METRICS_PORT as ACTOR_PORT
-from a2s.protocol.codec import decode
-from a2s.protocol.errors import MalformedMessageError, UnreachableError
+from a2s.actors.check import check
+from a2s.commands.process import ACTOR_METRICS_PORT, LEARNER_METRICS_PORT
+from a2s.commands.status import ask
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import A2SError, MalformedMessageError, UnreachableError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
-from a2s.protocol.messages import RunStatus
 from a2s.protocol.zenoh_bus import ZenohBus
 
 State = Literal["ok", "note", "fail"]
-LEARNER_PORT = 9464
 _CHILD_S = 120.0
+_TRIED = "Hopper-v5"
 _LEAST_FREE, _FEW_FREE = 200e6, 2e9
 _LEAST_MEMORY = 2e9
 _MOST_SKEW_S = 5.0
-_ASK_S, _ASKED = 2.0, 5
+_REACH_S, _ASKED = 2.0, 5
 
 # Run in a child: what crashes there ends the child alone.
-_STEP = """
-import gymnasium, time
-env = gymnasium.make("Hopper-v5")
-env.reset(seed=0)
-begin = time.perf_counter()
-for _ in range(1000):
-    if any(env.step(env.action_space.sample())[2:4]):
-        env.reset()
-print(round(1000 / (time.perf_counter() - begin)))
-"""
 _RENDER = """
 import gymnasium
 env = gymnasium.make("Hopper-v5", render_mode="rgb_array", width=64, height=64)
@@ -160,7 +151,7 @@ def _ports() -> Iterator[Finding]:
     """Look at the ports that commands listen on by default."""
     usual = int(DEFAULT_ENDPOINT.rpartition(":")[2])
     yield port(usual, f"a2s learner --listen tcp/127.0.0.1:{usual + 1}, and actors --connect to it")
-    for number in (LEARNER_PORT, ACTOR_PORT):
+    for number in (LEARNER_METRICS_PORT, ACTOR_METRICS_PORT):
         yield port(number, "nothing to do: metrics take another one, and print it")
 
 
@@ -185,24 +176,23 @@ def _learner(connect: str | None, run: str) -> Iterator[Finding]:
         state: State = "fail" if connect else "note"
         yield Finding("learner", state, f"none at {endpoint}", remedy)
         return
+    waits_s = []
     with closing(bus):
-        answers, waits_s = [], []
         for _ in range(_ASKED):
             begin_s = time.monotonic()
-            answers.append(bus.ask(Keys(run).status, b"", _ASK_S))
+            try:
+                told = ask(bus, Keys(run))
+            except MalformedMessageError as error:
+                remedy = "install the same release on both machines"
+                yield Finding("learner", "fail", str(error), remedy)
+                return
+            if told is None:
+                found = f"{endpoint}: connected, no answer for run {run!r}"
+                remedy = "name the run with --run; a release of another protocol is silent, too"
+                yield Finding("learner", "fail", found, remedy)
+                return
             waits_s.append(time.monotonic() - begin_s)
-    newest = answers[-1]
-    if newest is None:
-        found = f"{endpoint}: connected, no answer for run {run!r}"
-        remedy = "name the run with --run; a release of another protocol is silent, too"
-        yield Finding("learner", "fail", found, remedy)
-        return
-    try:
-        told = decode(newest, RunStatus)
-    except MalformedMessageError as error:
-        yield Finding("learner", "fail", str(error), "install the same release on both machines")
-        return
-    assert isinstance(told, RunStatus)
+    assert told is not None  # it was asked
     wait_ms = 1e3 * statistics.median(waits_s)
     yield Finding("learner", "ok", f"run {told.run}, {told.env_id}, answers in {wait_ms:.1f} ms")
     yield clock(time.time(), told.unix_s)
@@ -221,9 +211,9 @@ def clock(now_s: float, learners_s: float) -> Finding:
 
 def _reach(endpoint: str) -> str:
     """Say how far plain TCP comes."""
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    host, _, number = endpoint.partition("/")[2].rpartition(":")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=_ASK_S):
+        with socket.create_connection((host.strip("[]"), int(number)), timeout=_REACH_S):
             return "something else answers on that port"
     except socket.gaierror:
         return f"the name {host} is unknown here"
@@ -234,10 +224,11 @@ def _reach(endpoint: str) -> str:
 
 
 def _environments() -> Finding:
-    done = run_apart(_STEP)
-    if isinstance(done, str):
-        return Finding("environments", "fail", done, "pip install -U 'gymnasium[mujoco]'")
-    found = f"Hopper-v5, {int(done.stdout):,} steps/s at random in one process"
+    try:
+        tried = check(EnvConfig(env_id=_TRIED), lambda _words: None)
+    except A2SError as error:
+        return Finding("environments", "fail", str(error), "pip install -U 'gymnasium[mujoco]'")
+    found = f"{_TRIED}, {tried['steps_per_s']:,.0f} steps/s at random in one process"
     return Finding("environments", "ok", found)
 
 

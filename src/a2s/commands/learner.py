@@ -16,6 +16,7 @@ import typer
 from a2s.actors.description import describe
 from a2s.commands.process import (
     EXIT_INTERRUPTED,
+    LEARNER_METRICS_PORT,
     Stop,
     log_warnings,
     pass_on,
@@ -41,7 +42,6 @@ from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
-METRICS_PORT = 9464
 _LOOPBACK = ("/127.", "/localhost:", "/[::1]:", "unixsock-stream/")
 
 
@@ -77,7 +77,9 @@ class Place:
         with ExitStack() as stack:
             stop, url = stack.enter_context(stop_on_signals()), "off"
             if self.metrics_port != -1:
-                port, end = serve_on(self.metrics_port, METRICS_PORT, partial(metrics.serve, host))
+                port, end = serve_on(
+                    self.metrics_port, LEARNER_METRICS_PORT, partial(metrics.serve, host)
+                )
                 stack.callback(end)
                 url = f"http://{host}:{port}/metrics"
             stack.enter_context(run_directory.claimed(self.path))

@@ -14,6 +14,7 @@ from typing import TypeVar
 from a2s.protocol.errors import UsageError
 
 EXIT_INTERRUPTED = 130
+LEARNER_METRICS_PORT, ACTOR_METRICS_PORT = 9464, 9465
 
 Served = TypeVar("Served")
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -32,7 +32,7 @@ def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threadin
     keys = Keys(run)
     is_terminal = typer.get_text_stream("stdout").isatty()
     with closing(ZenohBus.connect(connect, lambda: False)) as bus:
-        told = _ask(bus, keys)
+        told = ask(bus, keys)
         if told is None:
             raise UnreachableError(
                 f"{connect}: no answer for run {run!r}; name another with --run, "
@@ -44,7 +44,7 @@ def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threadin
             if not watch or told.env_steps >= told.total_steps:
                 return
             stop.wait(_EVERY_S)
-            told = _ask(bus, keys)
+            told = ask(bus, keys)
             if told is None:
                 typer.echo(f"run {run}: its learner has gone", err=True)
                 return
@@ -97,7 +97,12 @@ def _table(rows: list[tuple[str, ...]]) -> Iterable[str]:
         yield "  ".join(cells).rstrip()
 
 
-def _ask(bus: Bus, keys: Keys) -> RunStatus | None:
+def ask(bus: Bus, keys: Keys) -> RunStatus | None:
+    """Ask the learner of a run; ``None``: no answer.
+
+    Raises:
+        MalformedMessageError: It is of another protocol.
+    """
     answer = bus.ask(keys.status, b"", _TIMEOUT_S)
     told = None if answer is None else decode(answer, RunStatus)
     assert told is None or isinstance(told, RunStatus)

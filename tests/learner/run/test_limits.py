@@ -19,7 +19,7 @@ def after(*looks: tuple[float, float, list[ActorStatus]]) -> Shares | None:
     limits = Limits()
     for look in looks:
         limits.look(*look)
-    return limits.shares()
+    return limits.shares
 
 
 def spent(actor: ActorStatus, environment_s: float, selection_s: float) -> ActorStatus:
