@@ -1,9 +1,12 @@
 """Equation 6 in general: what K suggestions want of the policy."""
 
+from typing import NamedTuple
+
 import pytest
 import torch
 from torch import Tensor
 
+from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.on_policy.state import make_q
 from a2s.learner.on_policy.suggestions import (
     Pull,
@@ -13,19 +16,31 @@ from a2s.learner.on_policy.suggestions import (
 )
 
 
-def pull_of(
-    factor: float, *, suggestions: int = 8, temperature: float = 0.1, least_share: float = 0.9
-) -> tuple[Pull, Tensor, Tensor]:
-    """Ask an untrained Q in 400 states, with means ``[400, 2]`` and deviations ``[2]``."""
+class _Asked(NamedTuple):
+    """An untrained Q, 400 states, and a policy in them."""
+
+    q_net: Ensemble
+    obs: Tensor  # [400, 3]
+    mean: Tensor  # [400, 2]
+    std: Tensor  # [2]
+
+
+def asked() -> _Asked:
+    """Draw the same every time."""
     generator = torch.Generator().manual_seed(0)
     mean, std = 0.1 * torch.randn(400, 2, generator=generator), torch.tensor([0.2, 0.3])
     q_net = make_q(5, (16, 16), generator)
     q_net.exact.weight[-1].mul_(100.0)  # else it says about the same of every action
+    return _Asked(q_net, torch.randn(400, 3, generator=generator), mean, std)
+
+
+def pull_of(
+    factor: float, *, suggestions: int = 8, temperature: float = 0.1, least_share: float = 0.9
+) -> tuple[Pull, Tensor, Tensor]:
+    """Pull the policy of `asked`; also its means and deviations."""
+    of = asked()
     found = pull_of_suggestions(
-        q_net,
-        torch.randn(400, 3, generator=generator),
-        mean,
-        std,
+        *of,
         suggestions=suggestions,
         factor=factor,
         temperature=temperature,
@@ -33,7 +48,17 @@ def pull_of(
         act_least_share=0.97,
         generator=torch.Generator().manual_seed(1),
     )
-    return found, mean, std
+    return found, of.mean, of.std
+
+
+def scores() -> tuple[Tensor, Tensor]:
+    """What its Q says of the K that `pull_of` draws, ``[400, 8]``, and these."""
+    q_net, obs, mean, std = asked()
+    normal = torch.randn(400, 8, 2, generator=torch.Generator().manual_seed(1))
+    action = mean.unsqueeze(1) + std * normal
+    inputs = torch.cat([obs.unsqueeze(1).expand(-1, 8, -1), action.clamp(-1, 1)], 2)
+    values = torch.linspace(-12, 12, 51)
+    return (q_net(inputs.flatten(0, 1)).softmax(-1) @ values).mean(0).view(400, 8), action
 
 
 def test_share_by_hand() -> None:
@@ -102,17 +127,3 @@ def test_more_of_the_suggestions_counts_for_actors() -> None:
     found, _, _ = pull_of(1e3, least_share=0.6)
     assert 0 < found.act_inverse_temperature < found.inverse_temperature
     assert pull_of(1e-4)[0].act_inverse_temperature == pytest.approx(1e-3)
-
-
-def scores() -> tuple[Tensor, Tensor]:
-    """What the Q of `pull_of` says of the K that it draws, ``[400, 8]``, and these."""
-    generator = torch.Generator().manual_seed(0)
-    mean, std = 0.1 * torch.randn(400, 2, generator=generator), torch.tensor([0.2, 0.3])
-    q_net = make_q(5, (16, 16), generator)
-    q_net.exact.weight[-1].mul_(100.0)
-    obs = torch.randn(400, 3, generator=generator)
-    normal = torch.randn(400, 8, 2, generator=torch.Generator().manual_seed(1))
-    action = mean.unsqueeze(1) + std * normal
-    inputs = torch.cat([obs.unsqueeze(1).expand(-1, 8, -1), action.clamp(-1, 1)], 2)
-    values = torch.linspace(-12, 12, 51)
-    return (q_net(inputs.flatten(0, 1)).softmax(-1) @ values).mean(0).view(400, 8), action
