@@ -4,6 +4,7 @@ Source: section 4.1.1 of the paper, "we take multiple gradient steps for value n
 network".
 """
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -55,7 +56,31 @@ def num_minibatches(rows: int, minibatch: int, at_least: int) -> int:
     return max(min(at_least, rows), round(rows / minibatch)) if minibatch else 1
 
 
-def fit_value(
+class Fit(NamedTuple):
+    """A fit that is ready to be made.
+
+    Attributes:
+        calls: One for each network; it makes the steps, and returns the sum of their losses.
+        optimiser: Of the networks.
+        steps: Of each network.
+    """
+
+    calls: Sequence[Callable[[], float]]
+    optimiser: Adam
+    steps: int
+
+
+def make(*fits: Fit) -> list[float]:
+    """Make fits side by side; returns the mean loss of a step of each."""
+    losses = iter(run_together([call for fit in fits for call in fit.calls]))
+    found = []
+    for fit in fits:
+        fit.optimiser.steps += fit.steps
+        found.append(sum(next(losses) for _ in fit.calls) / fit.steps / len(fit.calls))
+    return found
+
+
+def value_fit(
     value: Regression,
     target: Tensor,
     *,
@@ -65,29 +90,21 @@ def fit_value(
     learning_rate: float,
     max_grad_norm: float,
     generator: torch.Generator,
-) -> Fits:
+) -> Fit:
     """Fit V in passes over shuffled minibatches.
 
-    The target is normalised, ``[N]``; ``max_grad_norm`` 0: not limited; the loss is of the last
-    pass.
+    The target is normalised, ``[N]``; ``max_grad_norm`` 0: not limited.
     """
-    count = num_minibatches(len(target), minibatch, min_minibatches)
-    optimiser, ends = value.optimiser, bounds(len(target), count)
-    net = vectors(optimiser, value.network, value.network.grad)
-    inputs, wanted, loss = value.inputs.numpy(), target.numpy(), 0.0
-    for made in range(epochs):
-        order = torch.randperm(len(target), generator=generator).numpy()
-        step = int(optimiser.steps) + made * count
-        (loss,) = run_together(
-            [
-                partial(
-                    fit_kernels.value_pass, net, inputs, wanted, order, ends, step,
-                    learning_rate, max_grad_norm,
-                )
-            ]
-        )  # fmt: skip
-    optimiser.steps += epochs * count
-    return Fits(value_loss=loss / count, value_fit_steps=epochs * count)
+    rows, optimiser = len(target), value.optimiser
+    count = num_minibatches(rows, minibatch, min_minibatches)
+    order = torch.cat([torch.randperm(rows, generator=generator) for _ in range(epochs)])
+    begins = np.arange(epochs)[:, None] * rows + bounds(rows, count)[:-1]
+    call = partial(
+        fit_kernels.value_pass, vectors(optimiser, value.network, value.network.grad),
+        value.inputs.numpy(), target.numpy(), order.numpy(), np.append(begins, len(order)),
+        int(optimiser.steps), learning_rate, max_grad_norm,
+    )  # fmt: skip
+    return Fit([call], optimiser, epochs * count)
 
 
 def bounds(rows: int, count: int) -> Array:
@@ -95,8 +112,7 @@ def bounds(rows: int, count: int) -> Array:
     return np.linspace(0, rows, count + 1).round().astype(np.int64)
 
 
-@torch.no_grad()
-def fit_q(
+def q_fit(
     q_net: Ensemble,
     optimiser: Adam,
     inputs: Tensor,
@@ -106,23 +122,19 @@ def fit_q(
     minibatch: int,
     learning_rate: float,
     generator: torch.Generator,
-) -> float:
+) -> Fit:
     """Fit categorical Q to targets in its own unit, ``[N, in]`` and ``[N]``, rows drawn anew.
 
-    Returns:
-        Mean cross-entropy of a member, nats.
+    The loss is the cross-entropy, nats.
     """
     chance = categorical.spread(target).numpy()
     order = torch.randint(len(target), (steps * minibatch,), generator=generator).numpy()
     ends, before = bounds(len(order), steps), int(optimiser.steps)
-    losses = run_together(
-        [
-            partial(
-                fit_kernels.q_pass, vectors(optimiser, q_net, q_net.grad, member=member),
-                inputs.numpy(), chance, order, ends, before, learning_rate,
-            )
-            for member in range(q_net.members)
-        ]
-    )  # fmt: skip
-    optimiser.steps += steps
-    return float(sum(losses)) / steps / q_net.members
+    calls = [
+        partial(
+            fit_kernels.q_pass, vectors(optimiser, q_net, q_net.grad, member=member),
+            inputs.numpy(), chance, order, ends, before, learning_rate,
+        )
+        for member in range(q_net.members)
+    ]  # fmt: skip
+    return Fit(calls, optimiser, steps)

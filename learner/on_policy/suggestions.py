@@ -55,11 +55,11 @@ def pull_of_suggestions(
     most = inverse_temperature_at(score, least_share)
     weight = (most * score).softmax(1)
     tilt = (weight - 1.0 / suggestions).unsqueeze(2)
+    act = deserved
+    if share_that_counts(score, deserved) < act_least_share:
+        act = inverse_temperature_at(score, act_least_share)
     return Pull(
-        mean + (tilt * action).sum(1),
-        min(deserved / most, 1.0) if most > 0 else 0.0,
-        most,
-        min(deserved, inverse_temperature_at(score, act_least_share)),
+        mean + (tilt * action).sum(1), min(deserved / most, 1.0) if most > 0 else 0.0, most, act
     )
 
 

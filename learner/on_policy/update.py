@@ -13,7 +13,7 @@ from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch, BatchSize
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.critics import Fits, fit_q, fit_value
+from a2s.learner.on_policy.critics import Fits, make, q_fit, value_fit
 from a2s.learner.on_policy.learning_rate import LearningRate
 from a2s.learner.on_policy.policy import PolicyChange, PolicyData, importance, improve, normalised
 from a2s.learner.on_policy.q_learning import (
@@ -130,9 +130,8 @@ class OnPolicy(TrainState):
                 targets = self._ask_q(data, targets)
                 wanted = self._q_targets(batch)
             self.returns.update(targets.target)
-            fits = self._fit_value(data.obs, targets.target, critic_rate)
+            fits = self._fit(data.obs, targets.target, wanted, critic_rate, q_rate)
             if wanted is not None:
-                fits = self._fit_q(wanted, q_rate, fits)
                 pull = self._suggest(data)  # equation 6
             change = self._improve(data, pull, rate, progress)  # equation 4
             change = change._replace(advantage_std=float(targets.advantage.std(correction=0)))
@@ -176,36 +175,43 @@ class OnPolicy(TrainState):
         config = self.config
         return q_targets(self.window.joined(), self, gamma=config.gamma, lam=config.q_lambda)
 
-    def _fit_value(self, norm_obs: Tensor, target: Tensor, learning_rate: float) -> Fits:
+    def _fit(
+        self,
+        norm_obs: Tensor,
+        target: Tensor,
+        wanted: QTargets | None,
+        critic_rate: float,
+        q_rate: float,
+    ) -> Fits:
+        """Fit V to the batch and Q to the window, side by side; from now on Q may choose."""
         config = self.config
-        return fit_value(
+        value = value_fit(
             self.fit_of_value(norm_obs),
             self.returns.normalise(target),
             epochs=config.critic_epochs,
             minibatch=config.critic_minibatch,
             min_minibatches=config.min_minibatches,
-            learning_rate=learning_rate,
+            learning_rate=critic_rate,
             max_grad_norm=config.max_grad_norm,
             generator=self.generators["order"],
         )
-
-    def _fit_q(self, wanted: QTargets, learning_rate: float, fits: Fits) -> Fits:
-        """Fit Q; from now on it may choose."""
-        config = self.config
+        if wanted is None:
+            (value_loss,) = make(value)
+            return Fits(value_loss=value_loss, value_fit_steps=value.steps)
         newest = self.window.kept[-1][1].num_steps
-        steps = max(round(config.q_steps * newest / config.batch_steps), 1)
-        self.q_trusted = True
-        loss = fit_q(
+        q = q_fit(
             self.q_net,
             self.adam["q"],
             wanted.inputs,
             in_outputs(self, wanted.target),
-            steps=steps,
+            steps=max(round(config.q_steps * newest / config.batch_steps), 1),
             minibatch=config.q_minibatch,
-            learning_rate=learning_rate,
+            learning_rate=q_rate,
             generator=self.generators["q"],
         )
-        return fits._replace(q_loss=loss, q_fit_steps=steps)
+        q_loss, value_loss = make(q, value)
+        self.q_trusted = True
+        return Fits(q_loss, value_loss, q.steps, value.steps)
 
     def _suggest(self, data: PolicyData) -> Pull:
         """Ask Q for its opinion of K fresh suggestions in every state of the batch."""
