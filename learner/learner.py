@@ -66,6 +66,11 @@ class Learner:
         self._feed = connect(status.generation, directory.event)
         self._overlaps = trainer.overlaps_learning and clock_of(run.clock).waits_for_weights
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether all steps are made."""
+        return self._status.is_finished
+
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Learn until ``total_steps``, or until stopped.
 

@@ -114,6 +114,7 @@ def test_a_killed_actor_is_replaced_and_the_accounts_balance(
     seen = scrape(metrics_port(actor))
     assert sum(seen[f'a2s_actor_restarts_total{{worker="{i}"}}'] for i in range(2)) == 1
     assert learner.end(signal.SIGINT) == 130, learner.text()
+    assert f"stopped     go on with --resume --run-dir {path}" in learner.text()
     _assert_balance(_summary(path)["segments"])
 
 
@@ -139,6 +140,11 @@ def test_a_killed_learner_resumes_and_the_same_actors_go_on(
     numbers = [int(line.split(",")[0]) for line in updates]
     assert numbers == list(range(1, len(numbers) + 1))
     assert [event["generation"] for event in events(path, "start")] == [1, 2]
+    assert "nothing to do" not in again.text()
+    done = start("learner", *options, "--resume")
+    assert done.process.wait(PATIENCE_S) == 0, done.text()
+    assert "nothing to do: all steps are made; --total-steps for more" in done.text()
+    assert "stopped" not in done.text()
 
 
 def test_a_live_run_is_watched_and_found_by_the_doctor(

@@ -91,7 +91,9 @@ class Place:
         run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
 
     def end(self, summary: dict[str, Any], stop: Stop) -> int:
-        """Print the summary, if it is wanted as JSON, and give the exit code."""
+        """Say how to go on, print the summary if it is wanted as JSON, and give the exit code."""
+        if not summary["finished"]:
+            typer.echo(f"stopped     go on with --resume --run-dir {self.path}", self.out)
         if self.as_json:
             typer.echo(json.dumps(summary))
         return EXIT_INTERRUPTED if stop.interrupted else 0
@@ -129,6 +131,8 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
                 resume=place.resume,
             )
             place.write_config(configuration)
+            if learner.is_finished:
+                typer.echo("nothing to do: all steps are made; --total-steps for more", place.out)
             summary = learner.run(stop.is_set)
         typer.echo(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
