@@ -13,14 +13,18 @@ ARMS = ("placebo", "pathwise", "no-ppo", "centred")
 _OFF = ("--variant", "off-policy")
 
 
+def _set(**options: object) -> tuple[str, ...]:
+    return tuple(word for item in options.items() for word in ("--set", "{}={}".format(*item)))
+
+
 def _off(**options: object) -> tuple[str, ...]:
     """Off-policy A2S with something else than its default."""
-    return (*_OFF, *(word for item in options.items() for word in ("--set", "{}={}".format(*item))))
+    return (*_OFF, *_set(**options))
 
 
 def _a2c(**options: object) -> tuple[str, ...]:
     """A2C with something else than its default."""
-    return ("--algo", "a2c", *_off(**options)[len(_OFF) :])
+    return ("--algo", "a2c", *_set(**options))
 
 
 # What A2C might do with the computing that the suggestions cost, or with other settings.
@@ -36,6 +40,7 @@ _A2C_TRIALS = {
     "a2c-floor-0.1": _a2c(std_floor=0.1),
     "a2c-clip-0.3": _a2c(clip_ratio=0.3, kl_stop=0.1),
 }
+
 _BOTH = ("off-policy", "off-policy-k1")
 # Beside both, one K is varied at a time, and then both.
 _BEST_OF_K = {

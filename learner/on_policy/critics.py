@@ -70,7 +70,7 @@ class Fit(NamedTuple):
     steps: int
 
 
-def make(*fits: Fit) -> list[float]:
+def fit_together(*fits: Fit) -> list[float]:
     """Make fits side by side; returns the mean loss of a step of each."""
     losses = iter(run_together([call for fit in fits for call in fit.calls]))
     found = []

@@ -55,11 +55,11 @@ def pull_of_suggestions(
     most = inverse_temperature_at(score, least_share)
     weight = (most * score).softmax(1)
     tilt = (weight - 1.0 / suggestions).unsqueeze(2)
-    act = deserved
-    if share_that_counts(score, deserved) < act_least_share:
-        act = inverse_temperature_at(score, act_least_share)
     return Pull(
-        mean + (tilt * action).sum(1), min(deserved / most, 1.0) if most > 0 else 0.0, most, act
+        mean + (tilt * action).sum(1),
+        min(deserved / most, 1.0) if most > 0 else 0.0,
+        most,
+        inverse_temperature_at(score, act_least_share, at_most=deserved),
     )
 
 
@@ -74,14 +74,18 @@ def share_that_counts(score: Tensor, inverse_temperature: float) -> float:
     return float(count.mean()) / score.shape[1]
 
 
-def inverse_temperature_at(score: Tensor, least_share: float) -> float:
+def inverse_temperature_at(
+    score: Tensor, least_share: float, *, at_most: float | None = None
+) -> float:
     """The largest at which ``least_share`` of the K counts, one for all states; scores ``[N, K]``.
 
-    0 where all scores are alike.
+    It is searched for only where that is less than ``at_most``. 0 where all scores are alike.
     """
     spread = float((score - score.mean(1, keepdim=True)).square().mean().sqrt())
     if spread == 0.0:
         return 0.0
+    if at_most is not None and share_that_counts(score, at_most) >= least_share:
+        return at_most
     low, high = 0.0, _MOST_DEVIATIONS / spread
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

@@ -13,7 +13,7 @@ from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch, BatchSize
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.critics import Fits, make, q_fit, value_fit
+from a2s.learner.on_policy.critics import Fits, fit_together, q_fit, value_fit
 from a2s.learner.on_policy.learning_rate import LearningRate
 from a2s.learner.on_policy.policy import PolicyChange, PolicyData, importance, improve, normalised
 from a2s.learner.on_policy.q_learning import (
@@ -196,7 +196,7 @@ class OnPolicy(TrainState):
             generator=self.generators["order"],
         )
         if wanted is None:
-            (value_loss,) = make(value)
+            (value_loss,) = fit_together(value)
             return Fits(value_loss=value_loss, value_fit_steps=value.steps)
         newest = self.window.kept[-1][1].num_steps
         q = q_fit(
@@ -209,7 +209,7 @@ class OnPolicy(TrainState):
             learning_rate=q_rate,
             generator=self.generators["q"],
         )
-        q_loss, value_loss = make(q, value)
+        q_loss, value_loss = fit_together(q, value)
         self.q_trusted = True
         return Fits(q_loss, value_loss, q.steps, value.steps)
 

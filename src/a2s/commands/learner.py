@@ -23,6 +23,7 @@ from a2s.commands.process import (
     serve_on,
     stop_on_signals,
 )
+from a2s.learner.learner import Learner
 from a2s.learner.make import make_learner, make_replay_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay
@@ -90,6 +91,12 @@ class Place:
         text = configuration.to_toml()
         run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
 
+    def run(self, learner: Learner, stop: Stop) -> dict[str, Any]:
+        """Run a learner until it is done or stopped; gives the summary."""
+        if learner.is_finished:
+            typer.echo("nothing to do: all steps are made; --total-steps for more", self.out)
+        return learner.run(stop.is_set)
+
     def end(self, summary: dict[str, Any], stop: Stop) -> int:
         """Say how to go on, print the summary if it is wanted as JSON, and give the exit code."""
         if not summary["finished"]:
@@ -131,9 +138,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
                 resume=place.resume,
             )
             place.write_config(configuration)
-            if learner.is_finished:
-                typer.echo("nothing to do: all steps are made; --total-steps for more", place.out)
-            summary = learner.run(stop.is_set)
+            summary = place.run(learner, stop)
         typer.echo(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
             f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
@@ -201,7 +206,7 @@ def learn_from(
             f"  metrics     {url}\n  run         {place.path}",
             place.out,
         )
-        summary = learner.run(stop.is_set)
+        summary = place.run(learner, stop)
     typer.echo(f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s", place.out)
     typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
     return place.end(summary, stop)

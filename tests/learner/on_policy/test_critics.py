@@ -10,7 +10,14 @@ from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.on_policy import categorical
-from a2s.learner.on_policy.critics import Fit, Regression, make, num_minibatches, q_fit, value_fit
+from a2s.learner.on_policy.critics import (
+    Fit,
+    Regression,
+    fit_together,
+    num_minibatches,
+    q_fit,
+    value_fit,
+)
 from a2s.learner.on_policy.state import make_q
 
 
@@ -46,7 +53,7 @@ def fit(value: Regression, target: Tensor, epochs: int = 1, rate: float = 0.05) 
 def test_passes_learn_a_linear_target() -> None:
     """A hundred passes are plenty."""
     job, target = job_of()
-    make(fit(job, target, 100))
+    fit_together(fit(job, target, 100))
     assert float((predict(job) - target).square().mean()) < 1e-3
     assert int(job.optimiser.steps) == 300
 
@@ -55,7 +62,7 @@ def test_loss_is_the_mean_squared_error() -> None:
     """At rate 0 the mean of passes over equal parts is that of the batch."""
     job, target = job_of()
     expected = float((predict(job) - target).square().mean())
-    (loss,) = make(fit(job, target, 2, rate=0.0))
+    (loss,) = fit_together(fit(job, target, 2, rate=0.0))
     assert loss == pytest.approx(expected, rel=1e-5)
 
 
@@ -68,7 +75,7 @@ def test_q_learns_what_it_is_told() -> None:
     adam = Adam(q_net.value)
     losses = []
     for steps in (1, 600, 1):
-        losses += make(
+        losses += fit_together(
             q_fit(
                 q_net,
                 adam,
@@ -114,7 +121,7 @@ def test_steps_are_those_of_the_layers() -> None:
         both[0], adams[0], inputs, target, steps=3, minibatch=20, learning_rate=1e-2,
         generator=torch.Generator().manual_seed(2),
     )  # fmt: skip
-    q_loss, value_loss = make(q, fit(jobs[0], target, 2, 1e-2))
+    q_loss, value_loss = fit_together(q, fit(jobs[0], target, 2, 1e-2))
 
     order, losses = torch.Generator().manual_seed(5), []
     for _ in range(2):

@@ -78,6 +78,8 @@ def test_so_much_of_the_suggestions_counts(share: float, unit: float) -> None:
     score = torch.randn(300, 10, generator=torch.Generator().manual_seed(0)) * unit
     found = inverse_temperature_at(score, share)
     assert share_that_counts(score, found) == pytest.approx(share, abs=1e-3)
+    assert inverse_temperature_at(score, share, at_most=0.5 * found) == 0.5 * found
+    assert inverse_temperature_at(score, share, at_most=2.0 * found) == found
 
 
 def test_where_all_are_alike_there_is_nothing_to_want() -> None:

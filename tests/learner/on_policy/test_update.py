@@ -45,8 +45,10 @@ def test_fitting_q_touches_neither_policy_nor_value(preset: str, options: dict[s
     a2s = make_preset(preset, recovery="off", **options)
     for number in range(3):
         batch = play(a2c, number)
-        a2c.update(batch)
-        assert a2s.update(batch).q_fit_steps > 0
+        of_a2c, of_a2s = a2c.update(batch), a2s.update(batch)
+        assert (of_a2c.q_fit_steps, of_a2c.q_loss) == (0, 0.0)
+        assert of_a2s.q_fit_steps > 0
+        assert of_a2s.value_fit_steps == of_a2c.value_fit_steps > 0
     a2c_state, a2s_state = fingerprint(a2c), fingerprint(a2s)
     for name in ("policy", "value", "normaliser.mean", "adam.policy.second", "generator.order"):
         assert a2c_state[name] == a2s_state[name]
