@@ -7,13 +7,13 @@ import uuid
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from time import monotonic
 
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import seed_globals
 from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.outbox import Outbox
 from a2s.actors.parent import Parent
+from a2s.actors.patience import Patience
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
 from a2s.actors.troubles import Troubles
@@ -32,7 +32,6 @@ _ASK_AGAIN_S = 0.2
 _STATUS_EVERY_S = 1.0
 _LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
-_PATIENCE_S = 10.0
 _QUOTAS_IN_OUTBOX = 2
 
 
@@ -46,6 +45,7 @@ class Task:
         connect: Endpoint of the learner.
         num_envs: Environments to step; ``None`` leaves it to the learner.
         outbox_steps: Steps that may wait for an answer.
+        evaluates: It is an evaluator, and takes no part in the run.
         cause: Why the process before it in this place was replaced; empty if there was no other.
     """
 
@@ -55,6 +55,7 @@ class Task:
     run: str
     num_envs: int | None
     outbox_steps: int
+    evaluates: bool = False
     cause: str = ""
 
 
@@ -91,8 +92,7 @@ class Actor:
         self._notice: Notice | None = None
         self._rollout: Rollout | None = None
         self._ended = threading.Event()
-        self._waiting_said_s = 0.0
-        self._waiting_since_s: float | None = None
+        self._patience = Patience()
 
     def run(self) -> None:
         """Play until stopped.
@@ -183,7 +183,7 @@ class Actor:
         def interrupted() -> bool:
             return self._stopped.is_set() or self._weights.overrules(notice)
 
-        self._waiting_since_s = None
+        self._patience.over()
         dropped = self._troubles.dropped_steps
         for segment in rollout.play(suggester, notice, interrupted):
             if self._troubles.dropped_steps != dropped:  # known before the segment is learned from
@@ -196,9 +196,10 @@ class Actor:
         answered = self._outbox.answered
         while not self._outbox.put(segment, timeout_s=_LOOK_EVERY_S) and self._proceed():
             if self._outbox.answered > answered:  # the learner is there, and holds us back
-                answered, self._waiting_since_s = self._outbox.answered, None
-            self._say_waiting("room in the outbox: the learner has answered no segment")
-        self._waiting_since_s = None
+                answered = self._outbox.answered
+                self._patience.over()
+            self._patience.wait_for("room in the outbox: the learner has answered no segment")
+        self._patience.over()
 
     def _join(self, hello: Hello) -> Welcome | None:
         self._joining = hello
@@ -231,9 +232,9 @@ class Actor:
                 if isinstance(answer, Refusal):
                     raise RefusedError(f"the learner refused this actor: {answer.reason}")
                 assert isinstance(answer, Welcome)
-                self._waiting_since_s = None
+                self._patience.over()
                 return answer
-            self._say_waiting(f"the learner of run {self._keys.run!r} to answer a hello")
+            self._patience.wait_for(f"the learner of run {self._keys.run!r} to answer a hello")
             self._stopped.wait(_ASK_AGAIN_S)
         return None
 
@@ -252,7 +253,7 @@ class Actor:
         return Suggester(weights.graph)
 
     def _wait_for_weights(self) -> bool:
-        self._say_waiting("new weights from the learner")
+        self._patience.wait_for("new weights from the learner")
         return self._proceed()
 
     def _proceed(self) -> bool:
@@ -285,14 +286,3 @@ class Actor:
             **{f"{doing}_s": seconds for doing, seconds in self._metrics.spent().items()},
         )
         self._bus.publish(self._keys.actor_status(self._name), encode(status))
-
-    def _say_waiting(self, what: str) -> None:
-        now_s = monotonic()
-        if self._waiting_since_s is None:
-            self._waiting_since_s = self._waiting_said_s = now_s
-        elif now_s - self._waiting_said_s >= _PATIENCE_S:
-            self._waiting_said_s = now_s
-            logger.warning(
-                "waiting for %s for %.0f s; is `a2s learner` running?",
-                what, now_s - self._waiting_since_s,
-            )  # fmt: skip

@@ -4,13 +4,14 @@ import json
 import logging
 import math
 from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from a2s.actors.activity import Activity
 from a2s.actors.children import ask_child
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import MAX_SEED, seed_globals
@@ -94,10 +95,51 @@ def evaluate(
     return Evaluation(**found) if found else None
 
 
-def _play(
-    policy: Suggester, environments: list[Environment], episodes: int, seed: int
-) -> Evaluation:
-    """Play episodes, each from a seed of its own."""
+def trained_on(name: str, metadata: Mapping[str, str]) -> EnvConfig | None:
+    """The environment that a policy was trained on, by its metadata; ``None``: not told.
+
+    Raises:
+        UsageError: They cannot be read; ``name`` is the policy's.
+    """
+    if "environment" not in metadata:
+        return EnvConfig(env_id=metadata["env"]) if metadata.get("env") else None
+    try:
+        return replace(EnvConfig.from_json(metadata["environment"]), env_id=metadata["env"])
+    except (ValueError, TypeError, KeyError, MalformedMessageError) as error:
+        raise UsageError(f"{name}: its metadata 'environment' cannot be read: {error}") from None
+
+
+def make_environments(
+    config: EnvConfig, metadata: Mapping[str, str], count: int, activity: Activity
+) -> list[Environment]:
+    """Make so many environments for a policy with these metadata.
+
+    Raises:
+        UsageError: They cannot be made.
+        FaultyEnvironmentError: The constructor raised, or they differ.
+    """
+    told = metadata.get("obs_offset")
+    offset = None if told is None else np.array(json.loads(told), dtype=np.float32)
+    environments = [
+        Environment(config, index=index, activity=activity, offset=offset) for index in range(count)
+    ]
+    require_alike(environments)
+    return environments
+
+
+def play(
+    policy: Suggester,
+    environments: list[Environment],
+    episodes: int,
+    seed: int,
+    proceed: Callable[[], bool] = lambda: True,
+) -> Evaluation | None:
+    """Play episodes, each from a seed of its own; ``None`` if ``proceed`` became false.
+
+    Raises:
+        UsageError: The environments do not fit the policy.
+        FaultyEnvironmentError: One of them raised.
+    """
     drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
     *env_seeds, noise_seed = drawn & MAX_SEED
     rng = np.random.default_rng(noise_seed)
@@ -105,6 +147,8 @@ def _play(
     seed_globals(int(noise_seed))
     played = _Episodes(environments, [int(s) for s in env_seeds])
     while playing := sorted(played.obs):
+        if not proceed():
+            return None
         obs = np.stack([played.obs[index] for index in playing])
         for index, action in zip(playing, policy(obs, rng).action, strict=True):
             played.step(index, action)
@@ -177,16 +221,11 @@ class _Episodes:
 def _evaluate(parent: Parent) -> None:
     task: dict[str, Any] = parent.task
     policy = read_policy(Path(task["policy"]), task["mode"])
-    config = EnvConfig.from_json(task["env"])
-    told = policy.metadata.get("obs_offset")
-    offset = None if told is None else np.array(json.loads(told), dtype=np.float32)
+    config, count = EnvConfig.from_json(task["env"]), min(task["num_envs"], task["episodes"])
     seed_globals(task["seed"])
-    environments = [
-        Environment(config, index=index, activity=parent.activity, offset=offset)
-        for index in range(min(task["num_envs"], task["episodes"]))
-    ]
-    require_alike(environments)
-    found = _play(policy, environments, task["episodes"], task["seed"])
+    environments = make_environments(config, policy.metadata, count, parent.activity)
+    found = play(policy, environments, task["episodes"], task["seed"])
+    assert found is not None
     parent.report({"result": asdict(found)})
     for environment in environments:
         environment.close()

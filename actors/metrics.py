@@ -86,6 +86,7 @@ class ActorMetrics:
             "seconds", "Where the time of the worker goes.",
             doing="environment selection sending waiting",
         )  # fmt: skip
+        self.evaluations = self._counter("evaluations", "Evaluations that were played.")
         self.joins = self._counter("joins", "Times that this actor joined a learner.")
         self.cpu_seconds = self._counter("cpu_seconds", "Processor time of the worker process.")
 
@@ -139,8 +140,9 @@ class ActorMetrics:
         return {sample.labels["doing"]: sample.value for sample in samples}
 
     def report(self) -> dict[str, Any]:
-        """Give all counts, and the number of useful segments."""
-        return {"samples": self.samples(), "accepted": total(self.acks.labels("accepted"))}
+        """Give all counts, and how often something useful was done."""
+        accepted = total(self.acks.labels("accepted")) + total(self.evaluations)
+        return {"samples": self.samples(), "accepted": accepted}
 
     def samples(self) -> list[Sample]:
         """Give all counts, and the resources that this process uses."""

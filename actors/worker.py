@@ -7,6 +7,7 @@ from contextlib import closing, suppress
 
 from a2s.actors.actor import Actor, Task
 from a2s.actors.environments.faults import Faults
+from a2s.actors.evaluator import Evaluator
 from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.parent import Parent, told
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
@@ -18,7 +19,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor hears Ctrl-C and stops us
     parent = Parent(sys.argv[1:])
     task, metrics = Task(**parent.task), ActorMetrics()
-    actor: Actor | None = None
+    actor: Actor | Evaluator | None = None
 
     def on_failure(error: A2SError) -> None:
         if not parent.stopped.is_set():
@@ -29,7 +30,8 @@ def main() -> None:
     code = 0
     try:
         with closing(ZenohBus.connect(task.connect, lambda: not parent.stopped.is_set())) as bus:
-            actor = Actor(task, bus, metrics, parent, on_failure)
+            role = Evaluator if task.evaluates else Actor
+            actor = role(task, bus, metrics, parent, on_failure)
             actor.run()
     except BaseException as error:  # noqa: BLE001  # whatever it is, this process has to end
         code = 0 if parent.stopped.is_set() else 1
@@ -47,7 +49,8 @@ def main() -> None:
 def _is_hopeless(error: A2SError, task: Task, metrics: ActorMetrics) -> bool:
     """Whether the error would recur, so that starting another process is useless."""
     if isinstance(error, FaultyEnvironmentError):
-        never_worked = not task.cause and not total(metrics.env_steps)
+        worked = total(metrics.env_steps) + total(metrics.evaluations)
+        never_worked = not task.cause and not worked
         return error.by_mistake or never_worked
     return isinstance(error, RefusedError | UsageError)
 

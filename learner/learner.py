@@ -11,9 +11,11 @@ from typing import Any
 
 from a2s.learner.feed import Arrival, Feed
 from a2s.learner.ingest.clock import clock_of
+from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
+from a2s.learner.run.evaluating import Evaluating
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
 from a2s.learner.run.run_config import RunConfig
@@ -24,13 +26,16 @@ from a2s.protocol.errors import UnreachableError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import RecoveryEvent
 
+_EVALUATION_WAIT_S = 1.0
+
 
 class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
-    ``connect`` makes the feed of a generation and is given the handler of events. ``env_steps`` are
-    those of earlier starts. ``kind`` names the kind of run; checkpoints of another kind are
-    refused. ``saved`` is a checkpoint to go on from. The trainer is closed at the end.
+    ``connect`` makes the feed of a generation and is given the handler of events; ``evaluations``
+    are the feed's. ``env_steps`` are those of earlier starts. ``kind`` names the kind of run;
+    checkpoints of another kind are refused. ``saved`` is a checkpoint to go on from. The trainer is
+    closed at the end.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or has changed since it was saved.
@@ -42,6 +47,7 @@ class Learner:
         run: RunConfig,
         trainer: Trainer,
         connect: Callable[[int, Callable[..., None]], Feed],
+        evaluations: Evaluations,
         env_steps: int,
         path: Path,
         kind: str,
@@ -61,15 +67,18 @@ class Learner:
             self._saver.go_on(saved[1])
         names = run.env_config().metric_names
         self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
+        self._evaluating = Evaluating(evaluations, directory, metrics, status)
         status.generation = directory.count_start()
         status.env_steps = status.steps_at_start = env_steps
         self._feed = connect(status.generation, directory.event)
         self._overlaps = trainer.overlaps_learning and clock_of(run.clock).waits_for_weights
 
     @property
-    def is_finished(self) -> bool:
-        """Whether all steps are made."""
-        return self._status.is_finished
+    def done(self) -> str:
+        """Why there is nothing to do; empty: there is."""
+        if self._status.is_good:
+            return "an evaluation was good enough; a higher --stop-at-return for more"
+        return "all steps are made; --total-steps for more" if self._status.is_finished else ""
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Learn until ``total_steps``, or until stopped.
@@ -85,7 +94,7 @@ class Learner:
         def proceed(waiting_for: str) -> bool:
             self._status.waiting_for = waiting_for
             self._show()
-            return not stopped()
+            return not stopped() and not self._status.is_good
 
         with closing(self._directory), closing(self._trainer), closing(self._feed):
             self._open()
@@ -97,14 +106,15 @@ class Learner:
             except UnreachableError as error:
                 self._saver.try_save()
                 raise UnreachableError(f"{error} Go on with --resume when it is there") from None
-            return self._finish()
+            return self._finish(proceed)
 
     def _step(self, proceed: Callable[[str], bool]) -> bool:
         """Learn from one batch; false if the wait for it was ended."""
         if not self._wait_for_batch(proceed):
             return False
         begin_s = time.monotonic()
-        self._saver.keep_best()
+        if not self._status.run.evaluate_every:
+            self._saver.keep_best()
         if self._overlaps:
             self._publish()
         outcome = self._learn()
@@ -183,6 +193,7 @@ class Learner:
         status.rows += 1
         self._metrics.show_episodes(status.episodes)
         self._show(outcome.kl)
+        self._evaluating.want(partial(self._trainer.graph, averaged=True))
 
         def passed(every: int) -> bool:
             return every > 0 and status.updates // every > before // every
@@ -199,7 +210,9 @@ class Learner:
         self._directory.event("start", generation=status.generation, env_steps=status.env_steps)
         self._feed.open(lambda: status.message(self._feed.attendance().members))
 
-    def _finish(self) -> dict[str, Any]:
+    def _finish(self, proceed: Callable[[str], bool]) -> dict[str, Any]:
+        while self._evaluating.unfinished and proceed("the last evaluation"):
+            self._evaluating.look(_EVALUATION_WAIT_S)
         self._count(self._feed.stop())
         status, path = self._status, self._directory.path
         status.version, status.is_ahead = status.networks_version, False
@@ -211,6 +224,7 @@ class Learner:
         return summary
 
     def _show(self, kl: float | None = None) -> None:
+        self._evaluating.look()
         attendance = self._feed.attendance()
         self._metrics.actors.set(len(attendance.members))
         self._metrics.queue.set(attendance.pending_steps)

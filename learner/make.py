@@ -7,6 +7,7 @@ from pathlib import Path
 
 from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
+from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.server import Server
@@ -56,7 +57,7 @@ def make_learner(
     if saved is not None:
         spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
     metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
-    ledger = Ledger(path / "segments.log")
+    ledger, evaluations = Ledger(path / "segments.log"), Evaluations()
     trainer: Trainer
     store: OwnReplay | OnPolicyTrainer
     if isinstance(hyper, OffPolicyConfig):
@@ -68,7 +69,8 @@ def make_learner(
     return Learner(
         run=run,
         trainer=trainer,
-        connect=partial(_connect, run, spaces, bus, ledger, metrics, store),
+        connect=partial(_connect, run, spaces, bus, ledger, metrics, store, evaluations),
+        evaluations=evaluations,
         env_steps=ledger.accepted_steps,
         path=path,
         kind=kind,
@@ -112,6 +114,7 @@ def make_replay_learner(
         run=run,
         trainer=trainer,
         connect=lambda *_: feed,
+        evaluations=Evaluations(),
         env_steps=feed.env_steps(updates),
         path=path,
         kind=kind,
@@ -165,6 +168,7 @@ def _connect(
     ledger: Ledger,
     metrics: LearnerMetrics,
     store: OwnReplay | OnPolicyTrainer,
+    evaluations: Evaluations,
     generation: int,
     on_event: Callable[..., None],
 ) -> Server:
@@ -175,7 +179,7 @@ def _connect(
     keys = Keys(run.run)
     if isinstance(store, OwnReplay):
         ServedReplay(bus, keys, store.replay, generation).open()
-    return Server(bus, keys, generation, ingest, store, metrics)
+    return Server(bus, keys, generation, ingest, store, evaluations, metrics)
 
 
 def _of_trainer(saved: Saved | None) -> Saved | None:

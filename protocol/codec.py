@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import msgpack
 import numpy as np
 
-from a2s.protocol import keys, messages, replay_messages
+from a2s.protocol import evaluation_messages, keys, messages, replay_messages
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
 
 SCHEMA_VERSION = keys.MAJOR
@@ -39,6 +39,9 @@ Message = (
     | replay_messages.ReplayInfo
     | replay_messages.ReplayRequest
     | replay_messages.ReplaySample
+    | evaluation_messages.EvaluationRequest
+    | evaluation_messages.EvaluationTask
+    | evaluation_messages.EvaluationResult
 )
 M = TypeVar("M", bound=Message)
 
@@ -49,6 +52,7 @@ MAX_BYTES: dict[type, int] = dict.fromkeys(typing.get_args(Message), MIB) | {
     messages.RunStatus: 16 * MIB,
     replay_messages.ReplayInfo: 16 * MIB,
     replay_messages.ReplaySample: 16 * MIB,
+    evaluation_messages.EvaluationTask: 256 * MIB,
 }
 _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 

@@ -31,6 +31,8 @@ class Keys:
         self.status = f"{prefix}/status"  # query: RunStatus
         self.replay_info = f"{prefix}/replay/info"  # query: ReplayInfo
         self.replay_sample = f"{prefix}/replay/sample"  # query: ReplayRequest -> ReplaySample
+        self.evaluation_task = f"{prefix}/evaluation/task"  # query: EvaluationRequest -> its Task
+        self.evaluation_result = f"{prefix}/evaluation/result"  # query: EvaluationResult
         self.live_learner = f"{prefix}/live/learner"  # liveliness token
 
     def actor_status(self, actor: str = "*") -> str:

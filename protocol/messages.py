@@ -280,3 +280,5 @@ class RunStatus:
     learning_s: float = 0.0  # seconds of this learner so far in which it did not wait for a batch
     limited_by: str = ""  # learner, environment, selection or network; empty: not known yet
     unix_s: float = 0.0  # the learner's clock when it answered; 0: not told
+    evaluation_return: float = 0.0  # mean return of the latest evaluation
+    evaluation_steps: int = 0  # of the run, when it had those weights; 0: there was no evaluation

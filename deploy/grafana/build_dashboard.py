@@ -64,6 +64,7 @@ ROWS: dict[str, list[Panel]] = {
             "none",
             {
                 "{{run}} mean": "a2s_learner_episode_return_mean{}",
+                "{{run}} evaluation": "a2s_learner_eval_return_mean{}",
                 "{{run}} min": "a2s_learner_episode_return_min{}",
                 "{{run}} max": "a2s_learner_episode_return_max{}",
             },

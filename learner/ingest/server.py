@@ -5,11 +5,13 @@ import threading
 from collections.abc import Callable
 
 from a2s.learner.feed import Arrival, Attendance, Feed
+from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.store import Store
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.codec import decode, encode, refuse_major_1
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
+from a2s.protocol.evaluation_messages import EvaluationRequest, EvaluationResult
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import (
     ActorStatus,
@@ -36,10 +38,12 @@ class Server(Feed):
         generation: int,
         ingest: Ingest,
         store: Store,
+        evaluations: Evaluations,
         metrics: LearnerMetrics,
     ) -> None:
         self._bus, self._keys, self._generation = bus, keys, generation
         self._ingest, self._store, self._metrics = ingest, store, metrics
+        self._evaluations = evaluations
         self._lock = threading.Lock()
         self._newest = b"", b""  # notice and weights
 
@@ -51,6 +55,8 @@ class Server(Feed):
         bus.answer(keys.hello, self._on_hello)
         bus.answer(keys.hello_of_major_1, lambda _: self._on_hello_of_major_1())
         bus.answer(keys.segment, self._on_segment)
+        bus.answer(keys.evaluation_task, self._on_evaluation_request)
+        bus.answer(keys.evaluation_result, self._on_evaluation_result)
         bus.answer(keys.status, lambda _: encode(status()))
         bus.subscribe(keys.actor_status(), self._on_actor_status)
         bus.watch_presence(keys.live_actor(), self._on_presence)
@@ -128,9 +134,25 @@ class Server(Feed):
             return
         self._ingest.status(status)
 
+    def _on_evaluation_request(self, payload: bytes) -> bytes:
+        try:
+            task = self._evaluations.ask(decode(payload, EvaluationRequest))
+        except MalformedMessageError as error:
+            return encode(self._ingest.refuse("evaluation", _cause(error), str(error)))
+        return b"" if task is None else encode(task)
+
+    def _on_evaluation_result(self, payload: bytes) -> bytes:
+        try:
+            self._evaluations.answer(decode(payload, EvaluationResult))
+        except MalformedMessageError as error:
+            return encode(self._ingest.refuse("evaluation", _cause(error), str(error)))
+        return b""
+
     def _on_presence(self, key: str, present: bool) -> None:
         if not present:
-            self._ingest.gone(key.rsplit("/", 1)[-1])
+            name = key.rsplit("/", 1)[-1]
+            self._ingest.gone(name)
+            self._evaluations.gone(name)
 
 
 def _cause(error: MalformedMessageError) -> str:

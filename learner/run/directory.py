@@ -23,6 +23,19 @@ EPISODE_COLUMNS = (
     "length",
     "terminated",
 )
+EVALUATION_COLUMNS = (
+    "wall_s",
+    "env_steps",
+    "weights_version",
+    "mode",
+    "episodes",
+    "return_mean",
+    "return_std",
+    "return_min",
+    "return_max",
+    "length_mean",
+)
+EVALUATIONS = "evaluations.csv"
 CONFIG = "config.toml"
 
 
@@ -123,6 +136,7 @@ class RunDirectory:
             self._updates = self._open_table("updates.csv", update_columns)
             self._update_columns = _header(path / "updates.csv")
             self._events = (path / "events.jsonl").open("a", buffering=1)
+            self._evaluations: IO[str] | None = None
 
     def _open_table(self, name: str, columns: Sequence[str]) -> IO[str]:
         path = self.path / name
@@ -204,6 +218,25 @@ class RunDirectory:
         write_atomically(path, "".join(lines[: count + 1]).encode())
         self._updates = self._open_table("updates.csv", self._update_columns)
 
+    def evaluation(self, row: Sequence[object]) -> None:
+        """Append to ``evaluations.csv``: the values of `EVALUATION_COLUMNS` but for the first."""
+        with _writing(self.path / EVALUATIONS):
+            if self._evaluations is None:
+                self._evaluations = self._open_table(EVALUATIONS, EVALUATION_COLUMNS)
+            csv.writer(self._evaluations).writerow([f"{self._clock():.3f}", *row])
+
+    def read_evaluations(self, mode: str) -> list[tuple[int, float, float]]:
+        """Steps, and mean and deviation of the returns, of every evaluation in a mode so far.
+
+        Raises:
+            RunDirectoryError: A line is not one of this table; all files are closed.
+        """
+        try:
+            return evaluations(self.path, mode)
+        except RunDirectoryError:
+            self.close()
+            raise
+
     def event(self, kind: str, **details: object) -> None:
         """Append to ``events.jsonl``."""
         stamp = {"wall_s": round(self._clock(), 3), "time": round(time.time(), 3), "event": kind}
@@ -216,8 +249,34 @@ class RunDirectory:
 
     def close(self) -> None:
         """Close the files."""
-        for file in (self._episodes, self._updates, self._events):
-            file.close()
+        for file in (self._episodes, self._updates, self._events, self._evaluations):
+            if file is not None:
+                file.close()
+
+
+def evaluations(path: Path, mode: str) -> list[tuple[int, float, float]]:
+    """Read ``evaluations.csv`` of a run directory, if there is one, as `read_evaluations` does.
+
+    Raises:
+        RunDirectoryError: A line is not one of this table.
+    """
+    table = path / EVALUATIONS
+    if not table.exists():
+        return []
+    found = []
+    with table.open(newline="") as file:
+        rows = csv.DictReader(file)
+        try:
+            for row in rows:
+                score = float(row["return_mean"]), float(row["return_std"])
+                if row["mode"] == mode:
+                    found.append((int(row["env_steps"]), *score))
+        except (KeyError, TypeError, ValueError, csv.Error):
+            raise RunDirectoryError(
+                f"{table} line {rows.line_num}: expected {','.join(EVALUATION_COLUMNS)}; mend it, "
+                "or begin another run"
+            ) from None
+    return found
 
 
 def _read_starts(path: Path) -> int:

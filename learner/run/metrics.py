@@ -1,7 +1,7 @@
 """The learner's Prometheus metrics; ``docs/metrics.md`` explains every name."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import get_args
 
 from prometheus_client import (
@@ -80,6 +80,13 @@ class LearnerMetrics:
         self.episode_info = self._gauge(
             "episode_info_mean", "What environments told of the last 100 episodes.", "metric"
         )
+        self.evaluated = {
+            "mean": self._unknown(
+                "eval_return_mean", "Mean return of the latest evaluation, by the mean action."
+            ),
+            "best-of-k": self._unknown("eval_best_of_k_return_mean", "The same, by the best of K."),
+        }
+        self.eval_episodes = self._counter("eval_episodes", "Episodes of evaluations.")
         self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
 
     def _add_updates(self) -> None:
@@ -206,6 +213,11 @@ class LearnerMetrics:
             self.return_min.set(min(returns))
             self.return_max.set(max(returns))
             self.length_mean.set(sum(episodes.lengths) / len(episodes.lengths))
+
+    def show_evaluation(self, mode: str, returns: Sequence[float]) -> None:
+        """Show an evaluation in one way of acting."""
+        self.evaluated[mode].set(sum(returns) / len(returns))
+        self.eval_episodes.inc(len(returns))
 
     def serve(self, host: str, port: int) -> tuple[int, Callable[[], None]]:
         """Serve the metrics over HTTP.

@@ -55,6 +55,8 @@ class PlainView:
             f"episodes={episodes.count} version={status.version} "
             f"recoveries={status.num_recoveries} actors={len(members)}"
         )
+        if score := status.latest_score:
+            line += f" evaluation={written(score.mean)}"
         line += "".join(f" {name}={mean:.3g}" for name, mean in episodes.mean_metrics.items())
         shares = status.limits.shares
         line += f" limited_by={shares.largest}" if shares else ""
@@ -140,6 +142,9 @@ def _lines(
         f"episodes {episodes.count:,}  updates {status.updates:,}"
         + ("" if kl is None else f"  KL {kl:.4f}")
     )
+    if score := status.latest_score:
+        found = f"{written(score.mean)} +- {written(score.std)}"
+        yield f"evaluation {found} at {score.env_steps:,} steps"
     if shares := status.limits.shares:
         yield limits_line(shares)
     yield (

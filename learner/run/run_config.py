@@ -1,11 +1,13 @@
 """The options of a run, as the command line has them, checked."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from a2s.learner.settings import Settings, setting
 from a2s.protocol.env_config import TIMEOUT_S, EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import MalformedMessageError, UsageError
+from a2s.protocol.evaluation_messages import MAX_EPISODES
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Clock
 
@@ -47,6 +49,13 @@ class RunConfig(Settings):
     keep_policy_every_updates: int = setting(
         0, "Updates between policies that are kept for good; 0 keeps none", low=0
     )
+    evaluate_every: int = setting(
+        0, "Steps between evaluations by an evaluator; 0: there are none", low=0
+    )
+    evaluation_episodes: int = setting(10, "Episodes of an evaluation", low=1, high=MAX_EPISODES)
+    stop_at_return: float = setting(
+        math.inf, "The run ends when an evaluation has this mean return, or more"
+    )
     threads: int = setting(1, "Threads of torch; small networks are fastest with one", low=1)
     device: Device = setting("cpu", "Where off-policy networks learn; actors need no GPU")
 
@@ -55,6 +64,8 @@ class RunConfig(Settings):
         Settings.__post_init__(self)
         Keys(self.run)
         self.env_config()
+        if self.stop_at_return < math.inf and not self.evaluate_every:
+            raise UsageError("stop_at_return: only evaluations are looked at; add --evaluate-every")
         name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
         if (found := getattr(self, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with variant {self.variant}")

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from a2s.learner.feed import Attendance
 from a2s.learner.ingest.members import Member
@@ -15,6 +15,14 @@ from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.messages import RunStatus
 
 POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
+
+
+class Score(NamedTuple):
+    """What an evaluation found: returns of the mean action."""
+
+    env_steps: int
+    mean: float
+    std: float
 
 
 @dataclass(slots=True)
@@ -31,6 +39,8 @@ class Status:
         is_ahead: The networks have learned since then, and are of the version after it.
         num_recoveries: Called ``epoch`` on the wire.
         best_recent: Best mean return of 10 episodes in a row; ``None`` before the first.
+        latest_score: Of the newest evaluation while training; ``None`` before the first.
+        best_score: Of the best one.
         waiting_for: What the loop waits for; empty while it learns.
         learning_s: Seconds since this learner started in which it did not wait for a batch.
         limits: What the seconds of learner and actors go into.
@@ -49,6 +59,8 @@ class Status:
     is_ahead: bool = False
     num_recoveries: int = 0
     best_recent: float | None = None
+    latest_score: Score | None = None
+    best_score: Score | None = None
     waiting_for: str = ""
     learning_s: float = 0.0
     limits: Limits = field(default_factory=Limits)
@@ -62,8 +74,13 @@ class Status:
 
     @property
     def is_finished(self) -> bool:
-        """Whether all steps were played."""
-        return self.env_steps >= self.run.total_steps
+        """Whether all steps were played, or an evaluation was as good as was wanted."""
+        return self.env_steps >= self.run.total_steps or self.is_good
+
+    @property
+    def is_good(self) -> bool:
+        """Whether an evaluation was as good as was wanted."""
+        return self.best_score is not None and self.best_score.mean >= self.run.stop_at_return
 
     @property
     def fraction(self) -> float:
@@ -80,6 +97,14 @@ class Status:
         """Steps per second since this learner started."""
         seconds = max(time.monotonic() - self.began_s, 1e-9)
         return (self.env_steps - self.steps_at_start) / seconds
+
+    def evaluated(self, score: Score) -> bool:
+        """Take an evaluation into account; tells whether it is the best so far."""
+        self.latest_score = score
+        if self.best_score is not None and score.mean <= self.best_score.mean:
+            return False
+        self.best_score = score
+        return True
 
     def position(self) -> dict[str, object]:
         """For a row of ``updates.csv``, by `POSITION`."""
@@ -107,6 +132,8 @@ class Status:
             learning_s=self.learning_s,
             limited_by=self.limits.shares.largest if self.limits.shares else "",
             unix_s=time.time(),
+            evaluation_return=self.latest_score.mean if self.latest_score else 0.0,
+            evaluation_steps=self.latest_score.env_steps if self.latest_score else 0,
         )
 
     def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:
@@ -124,6 +151,7 @@ class Status:
             "env_steps_per_s": round(self.env_steps_per_s, 1),
             "return_mean_last_10": self.episodes.recent_return,
             "return_best": self.episodes.best,
+            "evaluation_best": None if self.best_score is None else self.best_score._asdict(),
             "recoveries": self.num_recoveries,
             "segments": asdict(attendance.accounts),
             "dropped_transitions": attendance.dropped_steps,

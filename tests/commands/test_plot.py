@@ -56,6 +56,24 @@ def test_what_the_environment_told_has_a_panel_of_its_own(tmp_path: Path) -> Non
     assert "<!-- is_success of an episode -->" in drawn
 
 
+def test_evaluations_while_training_have_a_panel_beside_the_returns(tmp_path: Path) -> None:
+    run = _run(tmp_path / "a", [(10 * i, float(i)) for i in range(1, 50)])
+    header = "wall_s,env_steps,weights_version,mode,episodes,return_mean,return_std"
+    rows = [f"1,{steps},1,mean,10,{steps / 10},0" for steps in (100, 200, 300)]
+    (run / "evaluations.csv").write_text("\n".join([header, *rows]) + "\n")
+    plot([run], tmp_path / "curves.svg")
+    drawn = (tmp_path / "curves.svg").read_text()
+    assert "<!-- Hopper-v5: evaluation return -->" in drawn
+    assert "<!-- evaluation return of an episode -->" in drawn
+
+
+def test_a_damaged_table_of_evaluations_leaves_a_run_out(tmp_path: Path) -> None:
+    runs = [_run(tmp_path / name, [(10, 1.0), (20, 2.0)]) for name in ("a", "b")]
+    (runs[0] / "evaluations.csv").write_text("nothing\n1\n")
+    (said,) = plot(runs, tmp_path / "curves.png")
+    assert "evaluations.csv line 2: expected wall_s" in said
+
+
 def test_another_way_of_learning_has_another_colour_in_any_panel(tmp_path: Path) -> None:
     """Of matplotlib's cycle the first and the second, though each panel has one line only."""
     rows = [(10 * i, float(i)) for i in range(1, 50)]

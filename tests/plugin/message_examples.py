@@ -10,6 +10,12 @@ import pytest
 from a2s.protocol.codec import Message, decode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.evaluation_messages import (
+    EvaluatedEpisode,
+    EvaluationRequest,
+    EvaluationResult,
+    EvaluationTask,
+)
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import (
     Ack,
@@ -142,13 +148,15 @@ GOLDEN: list[tuple[Message, bytes]] = [
             run="r", generation=1, env_id="E", env_steps=2, total_steps=3, episodes=4, updates=5,
             weights_version=6, epoch=7, return_mean=0.5, env_steps_per_s=0.5, waiting_for="",
             actors=(STATUS,), learning_s=0.5, limited_by="network", unix_s=0.5,
+            evaluation_return=0.5, evaluation_steps=8,
         ),
-        b"\xde\x00\x12\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\xde\x00\x14\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
         b"\xa9env_steps\x02\xabtotal_steps\x03\xa8episodes\x04\xa7updates\x05"
         b"\xafweights_version\x06\xa5epoch\x07\xabreturn_mean" + FLOAT64_HALF +
         b"\xafenv_steps_per_s" + FLOAT64_HALF + b"\xabwaiting_for\xa0"
         b"\xa6actors\x91\xde\x00\x11" + STATUS_FIELDS +
-        b"\xaalearning_s" + FLOAT64_HALF + b"\xaalimited_by\xa7network\xa6unix_s" + FLOAT64_HALF,
+        b"\xaalearning_s" + FLOAT64_HALF + b"\xaalimited_by\xa7network\xa6unix_s" + FLOAT64_HALF +
+        b"\xb1evaluation_return" + FLOAT64_HALF + b"\xb0evaluation_steps\x08",
     ),
     (
         ReplayInfo(run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3),
@@ -173,6 +181,30 @@ GOLDEN: list[tuple[Message, bytes]] = [
         b"\xa3obs" + F4_1_1 + HALF + b"\xa6action\xc0\xa6reward" + F4_1 + ONE +
         b"\xa8next_obs\xc0\xa8discount\xc0\xa6weight\xc0\xa3row\x91\x04",
     ),
+    (
+        EvaluationRequest(evaluator="e-1"),
+        b"\x83\xa3a2s\x02\xa4kind\xb1EvaluationRequest\xa9evaluator\xa3e-1",
+    ),
+    (
+        EvaluationTask(
+            generation=1, number=2, env_steps=3, weights_version=4, modes=("mean",), episodes=5,
+            seed=6, graph=b"\x00",
+        ),
+        b"\x8a\xa3a2s\x02\xa4kind\xaeEvaluationTask\xaageneration\x01\xa6number\x02"
+        b"\xa9env_steps\x03\xafweights_version\x04\xa5modes\x91\xa4mean\xa8episodes\x05"
+        b"\xa4seed\x06\xa5graph\xc4\x01\x00",
+    ),
+    (
+        EvaluationResult(
+            evaluator="e-1", generation=1, number=2,
+            episodes=(EvaluatedEpisode(mode="best-of-k", episode_return=0.5, length=3),),
+            metrics=(EpisodeMetric(name="x", value=0.5),),
+        ),
+        b"\x87\xa3a2s\x02\xa4kind\xb0EvaluationResult\xa9evaluator\xa3e-1"
+        b"\xaageneration\x01\xa6number\x02"
+        b"\xa8episodes\x91\x83\xa4mode\xa9best-of-k\xaeepisode_return" + FLOAT64_HALF +
+        b"\xa6length\x03\xa7metrics\x91\x82\xa4name\xa1x\xa5value" + FLOAT64_HALF,
+    ),
 ]  # fmt: skip
 EXAMPLES: dict[type, tuple[Any, bytes]] = {
     type(message): (message, payload) for message, payload in reversed(GOLDEN)
@@ -191,7 +223,11 @@ DEFAULTS: dict[type, dict[str, object]] = {
         "doing": "", "dropped_steps": 0, "trouble": "",
         "environment_s": 0.0, "selection_s": 0.0, "sending_s": 0.0, "waiting_s": 0.0,
     },
-    RunStatus: {"learning_s": 0.0, "limited_by": "", "unix_s": 0.0},
+    RunStatus: {
+        "learning_s": 0.0, "limited_by": "", "unix_s": 0.0,
+        "evaluation_return": 0.0, "evaluation_steps": 0,
+    },
+    EvaluationResult: {"metrics": ()},
 }  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from a2s.learner.own_replay import OwnReplay
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.codec import MAX_BYTES, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.evaluation_messages import EvaluatedEpisode
 from a2s.protocol.fields import MAX_METRICS, Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import (
@@ -29,7 +30,7 @@ from a2s.protocol.messages import (
 )
 
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
-DESCRIBED = (Spaces, EnvConfig, EpisodeMetric, *typing.get_args(Message))
+DESCRIBED = (Spaces, EnvConfig, EpisodeMetric, EvaluatedEpisode, *typing.get_args(Message))
 
 
 def section(heading: str) -> str:

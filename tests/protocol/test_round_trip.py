@@ -14,6 +14,13 @@ from message_examples import EXAMPLES, KINDS, altered, body_of, plain, refusal_o
 from a2s.protocol.codec import Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.evaluation_messages import (
+    MODES,
+    EvaluatedEpisode,
+    EvaluationRequest,
+    EvaluationResult,
+    EvaluationTask,
+)
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import (
     Ack,
@@ -64,13 +71,16 @@ def spaces(draw: st.DrawFn) -> Spaces:
     )
 
 
+finite = st.floats(allow_nan=False, allow_infinity=False)
+metrics = build(EpisodeMetric, name=labels, value=finite)
+
+
 @st.composite
 def segments(draw: st.DrawFn) -> Any:
     """Make segments whose arrays agree."""
     t, d, a = draw(sizes), draw(sizes), draw(sizes)
     terminated, truncated = draw(st.sampled_from([(False, False), (True, False), (False, True)]))
-    finite = st.floats(allow_nan=False, allow_infinity=False)
-    metrics = st.lists(build(EpisodeMetric, name=labels, value=finite), max_size=3)
+    some = st.lists(metrics, max_size=3)
     return draw(
         build(
             Segment, actor=names, seq=counts, generation=counts, epoch=counts,
@@ -80,7 +90,7 @@ def segments(draw: st.DrawFn) -> Any:
             final_obs=floats32(d, most=2.0**33),
             terminated=st.just(terminated), truncated=st.just(truncated),
             episode_return=st.floats(-1e10, 1e10), episode_length=st.integers(t, 2**63 - 1),
-            metrics=metrics.map(tuple),
+            metrics=some.map(tuple),
         )
     )  # fmt: skip
 
@@ -111,6 +121,11 @@ joining = build(Hello, actor=names, num_envs=st.integers(1, 4096), env_id=texts.
                 spaces=spaces(), slot=st.integers(-1, 999_999))  # fmt: skip
 notices = build(Notice, quota_steps=counts.filter(bool))
 statuses = build(ActorStatus, actor=names)
+modes = st.sampled_from(MODES)
+played = build(
+    EvaluatedEpisode, mode=modes, episode_return=st.floats(-1e10, 1e10),
+    length=st.integers(1, 2**63 - 1),
+)  # fmt: skip
 ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
     Hello: asking | joining,
     Welcome: build(Welcome, spaces=spaces(), env=st.none() | environments),
@@ -129,6 +144,16 @@ ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
         fields=st.lists(st.sampled_from(COLUMNS), min_size=1, unique=True).map(tuple),
     ),
     ReplaySample: samples(),
+    EvaluationRequest: build(EvaluationRequest, evaluator=names),
+    EvaluationTask: build(
+        EvaluationTask, modes=st.lists(modes, min_size=1, unique=True).map(tuple),
+        episodes=st.integers(1, 1000), seed=counts,
+    ),
+    EvaluationResult: build(
+        EvaluationResult, evaluator=names,
+        episodes=st.lists(played, min_size=1, max_size=3).map(tuple),
+        metrics=st.lists(metrics, max_size=3).map(tuple),
+    ),
 }  # fmt: skip
 anything = st.recursive(
     st.none() | st.booleans() | integers | st.floats() | texts | st.binary(max_size=8),

@@ -76,6 +76,7 @@ def test_live_over_the_network_without_a_change_to_the_first(
         (("--replay-from", "nowhere"), "no learner at tcp/127.0.0.1"),
         (("--replay-from", "./nowhere"), "--replay-from: found no directory ./nowhere"),
         (("--replay-from", "."), "replay"),
+        (("--replay-from", ".", "--evaluate-every", "9"), "which no evaluator can join"),
         (("--replay-from", "nowhere", "--variant", "on-policy"), "only --variant off-policy"),
     ],
 )

@@ -24,11 +24,12 @@ def act(
     envs: int | None,
     run: str,
     connect: str,
+    evaluates: bool,
     outbox_steps: int,
     metrics_host: str,
     metrics_port: int | None,
 ) -> int:
-    """Run actors until interrupted.
+    """Run actors, or evaluators, until interrupted.
 
     Returns:
         The exit code.
@@ -48,6 +49,7 @@ def act(
             run=run,
             num_envs=envs,
             outbox_steps=outbox_steps,
+            evaluates=evaluates,
         )
         for index in range(n)
     ]
@@ -57,7 +59,8 @@ def act(
             metrics_port, ACTOR_METRICS_PORT, lambda port: serve(fleet, metrics_host, port)
         )
         url = f"http://{metrics_host}:{bound}/metrics"
-    typer.echo(f"a2s actor: {n} processes for run {run}")
+    role = "processes that evaluate run" if evaluates else "processes for run"
+    typer.echo(f"a2s actor: {n} {role} {run}")
     typer.echo(f"  connect     {connect}\n  metrics     {url}")
     with stop_on_signals() as stop:
         Supervisor(tasks, fleet).run(stop)

@@ -2,17 +2,15 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from a2s.actors.evaluation import evaluate, read_policy
+from a2s.actors.evaluation import evaluate, read_policy, trained_on
 from a2s.actors.policy import mode_of
 from a2s.commands.configure import environment_of
 from a2s.commands.process import pass_on
 from a2s.learner.numerals import written
-from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import MalformedMessageError, UsageError, nearest
+from a2s.protocol.errors import UsageError, nearest
 
 _WEIGHTS = ("latest", "best")
 _ENVS = 8
@@ -44,7 +42,7 @@ def evaluate_run(
         raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
     known = mode_of(mode)
     path = run / weights / "policy.onnx" if run.is_dir() else run
-    config = environment_of(options, _trained_on(path, read_policy(path, known).metadata))
+    config = environment_of(options, trained_on(str(path), read_policy(path, known).metadata))
     result = evaluate(
         path.absolute(),
         known,
@@ -78,15 +76,6 @@ def line(result: dict[str, Any]) -> str:
         f"{result['env']}: {mean} +- {std} over {result['episodes']} episodes "
         f"({result['mode']}); from {low} to {high}"
     )
-
-
-def _trained_on(path: Path, metadata: dict[str, str]) -> EnvConfig | None:
-    if "environment" not in metadata:
-        return EnvConfig(env_id=metadata["env"]) if metadata.get("env") else None
-    try:
-        return replace(EnvConfig.from_json(metadata["environment"]), env_id=metadata["env"])
-    except (ValueError, TypeError, KeyError, MalformedMessageError) as error:
-        raise UsageError(f"{path}: its metadata 'environment' cannot be read: {error}") from None
 
 
 def _num_envs(run: Path) -> int:

@@ -93,8 +93,8 @@ class Place:
 
     def run(self, learner: Learner, stop: Stop) -> dict[str, Any]:
         """Run a learner until it is done or stopped; gives the summary."""
-        if learner.is_finished:
-            typer.echo("nothing to do: all steps are made; --total-steps for more", self.out)
+        if learner.done:
+            typer.echo(f"nothing to do: {learner.done}", self.out)
         return learner.run(stop.is_set)
 
     def end(self, summary: dict[str, Any], stop: Stop) -> int:
@@ -177,6 +177,8 @@ def learn_from(
     hyper = configuration.hyper
     if not isinstance(hyper, OffPolicyConfig):
         raise UsageError("--replay-from: only --variant off-policy learns from a replay")
+    if configuration.run.evaluate_every:
+        raise UsageError("--evaluate-every: found with --replay-from, which no evaluator can join")
     _prepare_process(configuration.run)
     with ExitStack() as stack:
         replay, about, size, max_size = source_of(source, connect, stack, hyper)
@@ -273,11 +275,12 @@ def _banner(run: RunConfig, path: Path, endpoint: str, metrics_url: str) -> str:
     loud = "" if is_loopback else (
         "\n  WARNING     this is not loopback and not encrypted: use it on trusted networks only"
     )  # fmt: skip
+    evaluated = f"\n  evaluate it a2s actor --evaluate{connect}{name}" if run.evaluate_every else ""
     return (
         f"a2s learner: {run.algo} {run.variant} on {run.env}, preset {run.preset}, "
         f"seed {run.seed}, {run.total_steps:,} steps\n"
         f"  listens on  {endpoint}{loud}\n"
         f"  metrics     {metrics_url}\n"
         f"  run         {path}\n"
-        f"  join it     a2s actor --n 2{connect}{name}"
+        f"  join it     a2s actor --n 2{connect}{name}{evaluated}"
     )

@@ -28,6 +28,7 @@ OF_ENVIRONMENT = (
 OF_RUN = (
     *OF_ENVIRONMENT, "total_steps", "seed", "run", "variant", "algo", "preset", "suggestions",
     "recovery", "lockstep", "n", "envs", "threads", "device", "keep_policy_every_updates",
+    "evaluate_every", "evaluation_episodes", "stop_at_return",
 )  # fmt: skip
 
 
@@ -114,12 +115,24 @@ KeepPolicyEvery = Annotated[int | None, whole_number(
     _RUN, "--keep-policy-every", low=0, show_default="0",
     help="Keep a copy of the policy in policies/ after every N updates; 0: never.",
 )]
+EvaluateEvery = Annotated[int | None, whole_number(
+    _RUN, "--evaluate-every", low=0, show_default="0",
+    help="Steps between evaluations while training; 0: none.",
+)]
+EvaluationEpisodes = Annotated[int | None, whole_number(
+    _RUN, "--evaluation-episodes", low=1, high=1000, show_default="10",
+    help="Episodes of an evaluation while training.",
+)]
+StopAtReturn = Annotated[float | None, option(
+    _RUN, "--stop-at-return", metavar="R", show_default="never",
+    help="End the run when an evaluation while training has this mean return.",
+)]
 Episodes = Annotated[int, whole_number(
     _RUN, "--episodes", low=1, help="Episodes to play.",
 )]
 WhichWeights = Annotated[str, option(
     _RUN, "--weights", metavar="latest|best",
-    help="Which policy of a run: latest, or best (by training returns).",
+    help="Which policy of a run: latest, or best (by evaluations, else by training returns).",
 )]
 
 EnvKwargs = Annotated[list[str] | None, option(
@@ -211,6 +224,9 @@ Connect = Annotated[str, option(
 ReplayFrom = Annotated[str | None, option(
     None, "--replay-from", metavar="RUN", show_envvar=True,
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
+)]
+Evaluate = Annotated[bool, option(
+    None, "--evaluate", help="Evaluate the newest weights instead of playing for the learner.",
 )]
 OutboxSteps = Annotated[int, whole_number(
     None, "--outbox-steps", low=1, show_envvar=True,

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from a2s.learner.run import config as configuration
-from a2s.learner.run.directory import CONFIG, EPISODE_COLUMNS
-from a2s.protocol.errors import UsageError
+from a2s.learner.run.directory import CONFIG, EPISODE_COLUMNS, evaluations
+from a2s.protocol.errors import RunDirectoryError, UsageError
 
 mpl.use("agg")
 
@@ -94,7 +94,10 @@ def plot(runs: list[Path], output: Path) -> list[str]:
             with episodes.open(newline="") as file:  # metrics have the columns after ours
                 metrics = next(csv.reader(file), [])[len(EPISODE_COLUMNS) :]
             curves |= {f"{env}: {metric}": read_curve(episodes, metric) for metric in metrics}
-        except UsageError as error:
+            if found := evaluations(run, "mean"):
+                steps, returns, _ = np.array(found).T
+                curves[f"{env}: evaluation return"] = steps, returns
+        except (UsageError, RunDirectoryError) as error:
             left_out.append(str(error))
         else:
             for title, curve in curves.items():

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict
 from datetime import timedelta
+from typing import Any
 
 import typer
 
@@ -64,6 +65,8 @@ def page(told: RunStatus) -> Iterator[str]:
         f"return {mean}  episodes {told.episodes:,}  updates {told.updates:,}  "
         f"version {told.weights_version}  recoveries {told.epoch}"
     )
+    if told.evaluation_steps:
+        yield f"evaluation {written(told.evaluation_return)} at {told.evaluation_steps:,} steps"
     if told.limited_by:
         yield f"limited by {told.limited_by}"
     if told.waiting_for:
@@ -109,7 +112,7 @@ def ask(bus: Bus, keys: Keys) -> RunStatus | None:
     return told
 
 
-def _as_json(told: RunStatus) -> dict[str, object]:
-    found = asdict(told)
+def _as_json(told: RunStatus) -> dict[str, Any]:
+    found: dict[str, Any] = asdict(told)
     found["return_mean"] = None if math.isnan(told.return_mean) else told.return_mean
     return found

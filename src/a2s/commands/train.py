@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -68,7 +68,8 @@ def train(
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
-        code = _run(learner, actor, path, out, stop)
+        helpers = [actor, [*actor, "--n", "1", "--evaluate"]] if run.evaluate_every else [actor]
+        code = _run(learner, helpers, path, out, stop)
     if code or not (path / "summary.json").exists():
         return code or EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
@@ -89,9 +90,15 @@ def train(
 
 
 def _run(
-    learner_options: list[str], actor_options: list[str], path: Path, out: TextIO, stop: Stop
+    learner_options: list[str],
+    helpers: list[list[str]],
+    path: Path,
+    out: TextIO,
+    stop: Stop,
 ) -> int:
-    """Start both, wait for the learner, end the actors; one that fails ends the other.
+    """Start all, wait for the learner, end the actors; one that fails ends the others.
+
+    ``helpers`` are the options of the actors, and of an evaluator.
 
     Returns:
         The exit code of a learner that could not begin, and has said why; else 0.
@@ -99,11 +106,13 @@ def _run(
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
     log, before = path / "actors.log", _starts(path)
-    with (
-        _started(learner_options, out) as learner,
-        log.open("a") as actor_log,
-        _started(actor_options, actor_log, niceness=_NICENESS) as actors,
-    ):
+    with ExitStack() as stack:
+        learner = stack.enter_context(_started(learner_options, out))
+        actor_log = stack.enter_context(log.open("a"))
+        actors = [
+            stack.enter_context(_started(options, actor_log, niceness=_NICENESS))
+            for options in helpers
+        ]
         _wait(learner, actors, log, stop)
     if not (path / run_directory.CONFIG).exists():
         _remove_traces(path, log)
@@ -133,11 +142,11 @@ def _remove_traces(path: Path, log: Path) -> None:
         path.rmdir()
 
 
-def _wait(learner: Process, actors: Process, log: Path, stop: Stop) -> None:
+def _wait(learner: Process, actors: list[Process], log: Path, stop: Stop) -> None:
     while learner.poll() is None:
         if stop.wait(_POLL_S):
             return
-        if actors.poll() is not None:
+        if any(process.poll() is not None for process in actors):
             lines = log.read_text(errors="replace").strip().splitlines()
             words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "no last words")
             raise A2SError(f"{words.removeprefix('a2s: ')}; the actors ended, see {log}")

@@ -8,7 +8,7 @@ from rich.console import Console
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.progress import LiveView, PlainView, sparkline, thin
 from a2s.learner.run.run_config import RunConfig
-from a2s.learner.run.status import Status
+from a2s.learner.run.status import Score, Status
 
 ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=0.0) for name in "ab"]
 
@@ -25,10 +25,12 @@ def status() -> Status:
 def test_a_plain_line_has_every_number(status: Status) -> None:
     out = io.StringIO()
     status.waiting_for = "segments of version 2 from actors [1]"
+    status.evaluated(Score(1024, 1234.5, 67.0))
     PlainView(out).show(status, ACTORS, None)
     assert out.getvalue() == (
         "steps=2048 steps_per_s=0 return=103.2 best=211.0 episodes=2 version=2 recoveries=0 "
-        "actors=2 is_success=0.5 waiting_for='segments of version 2 from actors [1]'\n"
+        "actors=2 evaluation=1234.5 is_success=0.5 "
+        "waiting_for='segments of version 2 from actors [1]'\n"
     )
 
 
@@ -50,10 +52,18 @@ def test_lines_come_every_few_seconds_not_at_every_call(status: Status) -> None:
 def test_the_display_shows_the_numbers(status: Status) -> None:
     out = io.StringIO()
     view = LiveView(Console(file=out, force_terminal=True, width=120), "hopper")
+    status.evaluated(Score(1024, 1234.5, 67.0))
     view.show(status, ACTORS, 0.0123)
     view.close()
     text = out.getvalue()
-    for expected in ("hopper", "2,048 of 10,000", "103.2", "2 with 16 environments", "0.0123"):
+    for expected in (
+        "hopper",
+        "2,048 of 10,000",
+        "103.2",
+        "2 with 16 environments",
+        "0.0123",
+        "at 1,024",
+    ):
         assert expected in text
 
 

@@ -1,0 +1,87 @@
+"""Evaluation while training: when weights are evaluated, and what is done with the results."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from a2s.learner.ingest.evaluations import Evaluated, Evaluations
+from a2s.learner.run.directory import RunDirectory
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.status import Score, Status
+from a2s.protocol.evaluation_messages import (
+    MODES,
+    EvaluatedEpisode,
+    EvaluationMode,
+    EvaluationTask,
+)
+
+_MOST_SEEDS = 1 << 63
+
+
+class Evaluating:
+    """Has the weights of a run evaluated, and writes down what came of it.
+
+    The best policy by the mean action, of earlier starts as well, is kept in ``best/policy.onnx``.
+    """
+
+    def __init__(
+        self,
+        evaluations: Evaluations,
+        directory: RunDirectory,
+        metrics: LearnerMetrics,
+        status: Status,
+    ) -> None:
+        self._evaluations, self._directory = evaluations, directory
+        self._metrics, self._status = metrics, status
+        self._wanted = self._steps = 0
+        for env_steps, mean, std in directory.read_evaluations("mean"):
+            status.evaluated(Score(env_steps, mean, std))
+
+    def want(self, make_graph: Callable[[int, float], bytes]) -> None:
+        """Have the present weights evaluated if it is time, on episodes that were never played."""
+        status, run = self._status, self._status.run
+        before, self._steps = max(self._steps, status.steps_at_start), status.env_steps
+        every = run.evaluate_every
+        if not every or self._steps // every == before // every:
+            return
+        self._wanted += 1
+        task = EvaluationTask(
+            generation=status.generation,
+            number=self._wanted,
+            env_steps=status.env_steps,
+            weights_version=status.networks_version,
+            modes=("mean",) if run.algo == "a2c" else MODES,
+            episodes=run.evaluation_episodes,
+            seed=(run.seed + status.env_steps) % _MOST_SEEDS,
+            graph=make_graph(status.networks_version, status.fraction),
+        )
+        self._evaluations.want(task)
+
+    def look(self, timeout_s: float = 0.0) -> None:
+        """Write down the results that have come, or come in this time."""
+        for evaluated in self._evaluations.take(timeout_s):
+            self._write_down(evaluated)
+
+    @property
+    def unfinished(self) -> int:
+        """Evaluations that an evaluator is still to make."""
+        return self._evaluations.unfinished
+
+    def _write_down(self, evaluated: Evaluated) -> None:
+        task, result = evaluated
+        for mode in task.modes:
+            played = [episode for episode in result.episodes if episode.mode == mode]
+            self._directory.evaluation([task.env_steps, task.weights_version, *_row(mode, played)])
+            self._metrics.show_evaluation(mode, [episode.episode_return for episode in played])
+            if mode == "mean":
+                returns = [episode.episode_return for episode in played]
+                score = Score(task.env_steps, float(np.mean(returns)), float(np.std(returns)))
+                if self._status.evaluated(score):
+                    self._directory.policy("best", task.graph)
+
+
+def _row(mode: EvaluationMode, played: Sequence[EvaluatedEpisode]) -> list[object]:
+    returns = [episode.episode_return for episode in played]
+    lengths = [episode.length for episode in played]
+    shown = np.mean(returns), np.std(returns), min(returns), max(returns), np.mean(lengths)
+    return [mode, len(played), *(f"{number:.9g}" for number in shown)]
