@@ -6,11 +6,11 @@ A call that never returns may also hold the interpreter, so the process cannot b
 import mmap
 import os
 from time import monotonic  # as it was before a user's code could replace it
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
-Call = Literal["make", "reset", "step", "close"]
-_CALLS: tuple[Call, ...] = ("make", "reset", "step", "close")
-MAKE, RESET, STEP, CLOSE = 1, 2, 3, 4
+Call = Literal["make", "reset", "step", "close", "render"]
+_CALLS: tuple[Call, ...] = get_args(Call)
+MAKE, RESET, STEP, CLOSE, RENDER = 1, 2, 3, 4, 5
 _WIDTH = 8  # of a call's number in the sum of call and environment
 
 
@@ -37,7 +37,7 @@ class Activity:
         self._page = memoryview(buffer).cast("d")
 
     def begin(self, call: int, env_index: int) -> None:
-        """Note that a call begins: ``MAKE``, ``RESET``, ``STEP`` or ``CLOSE``."""
+        """Note that a call begins: one of the numbers above."""
         self._page[0] = monotonic()
         self._page[1] = call + _WIDTH * env_index
 

@@ -4,10 +4,10 @@ import json
 import logging
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import MAX_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import ENDLESS_STEPS, is_usable
-from a2s.actors.suggester import Mode, Suggester
+from a2s.actors.suggester import Choice, Mode, Suggester
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.fields import Array
@@ -140,52 +140,74 @@ def play(
         UsageError: The environments do not fit the policy.
         FaultyEnvironmentError: One of them raised.
     """
-    drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
-    *env_seeds, noise_seed = drawn & MAX_SEED
-    rng = np.random.default_rng(noise_seed)
-    policy.check(environments[0].spaces, environments[0].name)
-    seed_globals(int(noise_seed))
-    played = _Episodes(environments, [int(s) for s in env_seeds])
-    while playing := sorted(played.obs):
-        if not proceed():
-            return None
-        obs = np.stack([played.obs[index] for index in playing])
-        for index, action in zip(playing, policy(obs, rng).action, strict=True):
-            played.step(index, action)
+    played = Episodes(policy, environments, episodes, seed)
+    if not all(proceed() for _ in played.rounds()):
+        return None
     return played.evaluation()
 
 
-class _Episodes:
-    """Episodes in a few environments, each from a seed of its own.
+class Played(NamedTuple):
+    """An episode so far: its number from 0, the sum of its rewards, its steps."""
 
-    ``obs`` has the latest observation of each environment that still plays, by its index.
+    episode: int
+    episode_return: float
+    length: int
+
+
+class Episodes:
+    """Episodes with a policy in a few environments, each from a seed of its own.
+
+    Raises:
+        UsageError: The environments do not fit the policy.
+        FaultyEnvironmentError: One of them raised.
     """
 
-    def __init__(self, environments: list[Environment], seeds: list[int]) -> None:
-        self._environments, self._seeds = environments, seeds
-        self._returns, self._lengths = [0.0] * len(seeds), [0] * len(seeds)
+    def __init__(
+        self, policy: Suggester, environments: list[Environment], episodes: int, seed: int
+    ) -> None:
+        drawn = np.random.SeedSequence([_EVALUATION, seed]).generate_state(episodes + 1)
+        *env_seeds, noise_seed = (int(number) for number in drawn & MAX_SEED)
+        self._policy, self._rng = policy, np.random.default_rng(noise_seed)
+        policy.check(environments[0].spaces, environments[0].name)
+        seed_globals(noise_seed)
+        self._environments, self._seeds = environments, env_seeds
+        self._returns, self._lengths = [0.0] * episodes, [0] * episodes
         self._metrics: dict[str, list[float]] = defaultdict(list)
         self._cut = self._unusable = 0
         self._episode = [0] * len(environments)
-        self._waiting = list(range(len(seeds)))
-        self.obs: dict[int, Array] = {}
+        self._waiting = list(range(episodes))
+        self._obs: dict[int, Array] = {}  # the latest of each environment that still plays
         for index in range(len(environments)):
             self._begin(index)
 
-    def step(self, index: int, action: Array) -> None:
+    def rounds(self) -> Iterator[Choice]:
+        """Make a step in each environment that still plays, again and again; give the choices."""
+        while playing := sorted(self._obs):
+            obs = np.stack([self._obs[index] for index in playing])
+            choice = self._policy(obs, self._rng)
+            for index, action in zip(playing, choice.action, strict=True):
+                self._step(index, action)
+            yield choice
+
+    def now(self, index: int) -> Played:
+        """What an environment plays, or has played last."""
+        episode = self._episode[index]
+        return Played(episode, self._returns[episode], self._lengths[episode])
+
+    def _step(self, index: int, action: Array) -> None:
         """Make a step in an environment; where its episode ends, begin the next."""
         environment, episode = self._environments[index], self._episode[index]
         obs, reward, terminated, truncated = environment.step(action)
         if not (is_usable(obs) and math.isfinite(reward)):
             # As a robot would whose sensor fails for a moment: go on with what was seen last.
             self._unusable += 1
-            obs = obs if is_usable(obs) else self.obs[index]
+            obs = obs if is_usable(obs) else self._obs[index]
             reward = reward if math.isfinite(reward) else 0.0
         self._returns[episode] += reward
         self._lengths[episode] += 1
         is_endless = environment.episode_limit is None and self._lengths[episode] >= ENDLESS_STEPS
         if not (terminated or truncated or is_endless):
-            self.obs[index] = obs
+            self._obs[index] = obs
             return
         self._cut += not (terminated or truncated)
         for metric in environment.metrics():
@@ -194,10 +216,10 @@ class _Episodes:
 
     def _begin(self, index: int) -> None:
         if not self._waiting:
-            del self.obs[index]
+            del self._obs[index]
             return
         self._episode[index] = self._waiting.pop(0)
-        self.obs[index] = self._environments[index].reset(self._seeds[self._episode[index]])
+        self._obs[index] = self._environments[index].reset(self._seeds[self._episode[index]])
 
     def evaluation(self) -> Evaluation:
         """Sum up the episodes, and report unusual ones."""

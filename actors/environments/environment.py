@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from a2s.actors.activity import CLOSE, MAKE, RESET, STEP, Activity
+from a2s.actors.activity import CLOSE, MAKE, RENDER, RESET, STEP, Activity
 from a2s.actors.environments.faults import Faults, brief, wrong_reset
 from a2s.actors.environments.making import as_usage, limit_of, make
 from a2s.actors.environments.observations import Observations
@@ -137,6 +137,30 @@ class Environment:
         if type(truncated) is not bool:
             truncated = self._truth("truncated", truncated)
         return self._obs("step", obs), reward, terminated, truncated and not terminated
+
+    def picture(self) -> npt.NDArray[np.uint8]:
+        """Draw the present state, ``[H, W, 3]``; it must have been made with ``rgb_array``.
+
+        Raises:
+            FaultyEnvironmentError: It raised, or gave something else.
+        """
+        self._begin(RENDER, self._index)
+        try:
+            found = np.asarray(self._env.render())
+        except BaseException as error:  # whatever a user's code raises
+            raise self._faults.raised("render", error) from error
+        self._end()
+        if found.ndim != 3 or found.shape[2] != 3 or found.dtype != np.uint8:
+            what = f"of shape {found.shape} and {found.dtype}"
+            raise self._faults.returned(
+                self._env, "render", f"a picture {what}, expected (H, W, 3) and uint8"
+            )
+        return found
+
+    @property
+    def unwrapped(self) -> Any:
+        """What is inside all wrappers."""
+        return self._env.unwrapped
 
     def metrics(self) -> tuple[EpisodeMetric, ...]:
         """Give the finite numbers of the latest ``info`` under the keys that are wanted."""

@@ -10,7 +10,7 @@ import typer
 
 from a2s import __version__
 from a2s.commands import options, replay_cli, run_cli
-from a2s.commands.process import end_on_signals, open_standard_streams
+from a2s.commands.process import EXIT_INTERRUPTED, end_on_signals, open_standard_streams
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
@@ -139,6 +139,44 @@ def evaluate(
 
     given = options.named(context, options.OF_ENVIRONMENT)
     found = evaluate_run(run, given, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
+    typer.echo(json.dumps(found) if json_ else line(found))
+
+
+@app.command()
+def record(
+    context: typer.Context,
+    run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", envvar="A2S_OUTPUT", help="Video to write.")
+    ] = Path("video.mp4"),
+    env: options.Env = None,
+    episodes: options.Episodes = 1,
+    mode: options.Mode = "mean",
+    weights: options.WhichWeights = "latest",
+    seed: options.Seed = None,
+    env_kwargs: options.EnvKwargs = None,
+    wrappers: options.Wrapper = None,
+    action_repeat: options.ActionRepeat = None,
+    frame_stack: options.FrameStack = None,
+    max_episode_steps: options.MaxEpisodeSteps = None,
+    env_timeout_s: options.EnvTimeout = None,
+    overlay: Annotated[
+        bool, typer.Option("--overlay/--no-overlay", help="Write steps, return and Q on it.")
+    ] = True,
+    json_: options.Json = False,
+) -> None:
+    """Record fresh episodes with a trained policy as a video; it needs no screen."""
+    from a2s.commands.process import stop_on_signals
+    from a2s.commands.record import line, record_run
+
+    given = options.named(context, [n for n in options.OF_ENVIRONMENT if n != "info_metrics"])
+    with stop_on_signals() as stop:
+        found = record_run(
+            run, given, output=output, episodes=episodes, mode=mode, weights=weights,
+            seed=seed or 0, overlay=overlay, proceed=lambda: not stop.is_set(),
+        )  # fmt: skip
+    if not found:
+        raise typer.Exit(EXIT_INTERRUPTED)
     typer.echo(json.dumps(found) if json_ else line(found))
 
 

@@ -4,7 +4,8 @@ import socket
 
 import pytest
 
-from a2s.commands.doctor import Finding, clock, line, port, run_apart
+from a2s.commands.doctor import Finding, clock, line, port
+from a2s.commands.process import run_apart
 
 
 def test_a_line_has_the_finding_and_below_it_the_remedy() -> None:

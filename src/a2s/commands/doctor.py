@@ -5,7 +5,6 @@ import platform
 import shutil
 import socket
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from typing import Literal, NamedTuple
 from a2s import __version__
 from a2s.actors.check import check
 from a2s.commands.process import ACTOR_METRICS_PORT, LEARNER_METRICS_PORT
+from a2s.commands.rendering import HELP, find_backend
 from a2s.commands.status import ask
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, MalformedMessageError, UnreachableError
@@ -24,20 +24,11 @@ from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.zenoh_bus import ZenohBus
 
 State = Literal["ok", "note", "fail"]
-_CHILD_S = 120.0
 _TRIED = "Hopper-v5"
 _LEAST_FREE, _FEW_FREE = 200e6, 2e9
 _LEAST_MEMORY = 2e9
 _MOST_SKEW_S = 5.0
 _REACH_S, _ASKED = 2.0, 5
-
-# Run in a child: what crashes there ends the child alone.
-_RENDER = """
-import gymnasium
-env = gymnasium.make("Hopper-v5", render_mode="rgb_array", width=64, height=64)
-env.reset(seed=0)
-assert env.render().shape == (64, 64, 3)
-"""
 
 
 class Finding(NamedTuple):
@@ -233,25 +224,7 @@ def _environments() -> Finding:
 
 
 def _rendering() -> Finding:
-    for backend in ("egl", "osmesa"):
-        if not isinstance(run_apart(_RENDER, MUJOCO_GL=backend), str):
-            return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
-    remedy = "for videos alone: apt-get install libegl1 libgl1-mesa-dri, or libosmesa6"
-    return Finding("rendering", "note", "neither EGL nor OSMesa draws", remedy)
-
-
-def run_apart(program: str, **variables: str) -> subprocess.CompletedProcess[str] | str:
-    """Run a program by itself; returns the last line of its error where it fails."""
-    command = [sys.executable, "-W", "ignore", "-c", program]
-    environ = {**os.environ, **variables}
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, env=environ, timeout=_CHILD_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return f"no answer in {_CHILD_S:.0f} s"
-    if done.returncode < 0:
-        return f"its process died of signal {-done.returncode}"
-    if done.returncode:
-        return (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-    return done
+    backend = find_backend()
+    if backend is not None:
+        return Finding("rendering", "ok", f"MUJOCO_GL={backend}")
+    return Finding("rendering", "note", "neither EGL nor OSMesa draws", f"for videos alone: {HELP}")

@@ -38,10 +38,7 @@ def evaluate_run(
         UsageError: There is no policy, or it does not fit the environment.
         FaultyEnvironmentError: The environment raised, hung, or returned something invalid.
     """
-    if weights not in _WEIGHTS:
-        raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
-    known = mode_of(mode)
-    path = run / weights / "policy.onnx" if run.is_dir() else run
+    known, path = mode_of(mode), policy_of(run, weights)
     config = environment_of(options, trained_on(str(path), read_policy(path, known).metadata))
     result = evaluate(
         path.absolute(),
@@ -66,6 +63,17 @@ def evaluate_run(
         "lengths": list(result.lengths),
         "info_metrics": result.metrics,
     }
+
+
+def policy_of(run: Path, weights: str) -> Path:
+    """The file of a policy: itself, or the ``latest`` or ``best`` one of a run directory.
+
+    Raises:
+        UsageError: There is nothing else to choose.
+    """
+    if weights not in _WEIGHTS:
+        raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
+    return run / weights / "policy.onnx" if run.is_dir() else run
 
 
 def line(result: dict[str, Any]) -> str:

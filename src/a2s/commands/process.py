@@ -5,6 +5,7 @@ import logging
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ LEARNER_METRICS_PORT, ACTOR_METRICS_PORT = 9464, 9465
 Served = TypeVar("Served")
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STANDARD_ERROR = 2
+_CHILD_S = 120.0
 
 
 class Stop(threading.Event):
@@ -93,3 +95,20 @@ def serve_on(port: int | None, usual: int, serve: Callable[[int], Served]) -> Se
         return serve(usual)
     except UsageError:
         return serve(0)
+
+
+def run_apart(program: str, **variables: str) -> subprocess.CompletedProcess[str] | str:
+    """Run a program by itself; returns the last line of its error where it fails."""
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    environ = {**os.environ, **variables}
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=environ, timeout=_CHILD_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer in {_CHILD_S:.0f} s"
+    if done.returncode < 0:
+        return f"its process died of signal {-done.returncode}"
+    if done.returncode:
+        return (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+    return done
