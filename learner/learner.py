@@ -226,7 +226,7 @@ class Learner:
     def _show(self, kl: float | None = None) -> None:
         self._evaluating.look()
         attendance = self._feed.attendance()
-        self._metrics.actors.set(len(attendance.members))
+        self._metrics.show_actors(attendance.members)
         self._metrics.queue.set(attendance.pending_steps)
         self._look_at_limits(attendance.members)
         self._view.show(self._status, attendance.members, kl)

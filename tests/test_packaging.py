@@ -26,7 +26,8 @@ def test_the_wheel_has_every_module_and_nothing_else(wheel: Path) -> None:
     expected = {
         f"{inside}/{file.relative_to(ROOT / folder)}"
         for folder, inside in packages.items()
-        for file in (ROOT / folder).rglob("*.py")
+        for file in (ROOT / folder).rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
     }
     own = [ROOT / "src/a2s/__init__.py", ROOT / "src/a2s/cli.py", ROOT / "src/a2s/py.typed"]
     own += (ROOT / "src/a2s/commands").glob("*.py")

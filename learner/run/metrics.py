@@ -1,7 +1,9 @@
 """The learner's Prometheus metrics; ``docs/metrics.md`` explains every name."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from typing import get_args
 
 from prometheus_client import (
@@ -13,14 +15,15 @@ from prometheus_client import (
     PlatformCollector,
     ProcessCollector,
     disable_created_metrics,
-    start_http_server,
 )
 
 from a2s import __version__
+from a2s.learner.ingest.members import Member
 from a2s.learner.on_policy.stats import UpdateStats
+from a2s.learner.page.history import History
+from a2s.learner.page.server import Sampler, Server
 from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.protocol.codec import SCHEMA_VERSION
-from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import Verdict
 
 _LAGS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 100)
@@ -62,6 +65,17 @@ class LearnerMetrics:
         self.joins = self._counter("actor_joins", "Actors that joined.")
         self.leaves = self._counter("actor_leaves", "Actors that left.", "reason")
         self.actors = self._gauge("actors", "Actors present.")
+        self._slots: set[int] = set()  # that were ever taken
+        self.actor_up = self._gauge("actor_up", "Whether the actor at a place is there.", "slot")
+        self.actor_heard = self._gauge(
+            "actor_heard_timestamp_seconds", "When the actor at a place was last heard.", "slot"
+        )
+        self.actor_steps = self._gauge(
+            "actor_env_steps", "Environment steps that the actor at a place has made.", "slot"
+        )
+        self.actor_version = self._gauge(
+            "actor_weights_version", "Version that the actor at a place acts with.", "slot"
+        )
         self.queue = self._gauge("ingest_queue_transitions", "Transitions that wait for an update.")
         self.policy_lag = self._histogram(
             "policy_lag_updates", "Versions that accepted segments were behind.", _LAGS
@@ -219,26 +233,30 @@ class LearnerMetrics:
         self.evaluated[mode].set(sum(returns) / len(returns))
         self.eval_episodes.inc(len(returns))
 
-    def serve(self, host: str, port: int) -> tuple[int, Callable[[], None]]:
-        """Serve the metrics over HTTP.
+    def show_actors(self, members: Sequence[Member]) -> None:
+        """Show the actors that are present, and that those of before are gone."""
+        self.actors.set(len(members))
+        since_s = time.time() - time.monotonic()
+        for slot in self._slots - {member.slot for member in members}:
+            self.actor_up.labels(slot=slot).set(0)
+        for member in members:
+            self._slots.add(member.slot)
+            self.actor_up.labels(slot=member.slot).set(1)
+            self.actor_heard.labels(slot=member.slot).set(since_s + member.heard_s)
+            if member.status is not None:
+                self.actor_steps.labels(slot=member.slot).set(member.status.env_steps)
+                self.actor_version.labels(slot=member.slot).set(member.status.weights_version)
 
-        Returns:
-            The port, a free one when ``port`` is 0, and what ends the server.
+    @contextmanager
+    def served(self, host: str, port: int) -> Iterator[int]:
+        """Serve them, and the live page of them, over HTTP while the block lasts; gives the port.
 
         Raises:
             UsageError: The port is taken.
         """
-        try:
-            server, thread = start_http_server(port, addr=host, registry=self.registry)
-        except OSError as error:
-            raise UsageError(
-                f"metrics port {port}: {error.strerror}; "
-                "choose another with --metrics-port, 0 = any"
-            ) from None
-
-        def stop() -> None:
-            server.shutdown()
-            server.server_close()
-            thread.join()
-
-        return int(server.server_port), stop
+        history = History()
+        with (
+            closing(Server([history], host, port, "--metrics-port", self.registry)) as server,
+            closing(Sampler(lambda: history.take(time.time(), self.registry.collect()))),
+        ):
+            yield server.port

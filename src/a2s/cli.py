@@ -95,6 +95,37 @@ def status(
 
 
 @app.command()
+def dashboard(
+    targets: Annotated[
+        list[str] | None,
+        typer.Argument(help="HOST:PORT of a learner's metrics, one for each run."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        options.whole_number(
+            None,
+            "--port",
+            low=0,
+            high=65535,
+            envvar=None,
+            show_default="9466",
+            help="Port of the page: 0 takes any free one.",
+        ),
+    ] = None,
+    host: Annotated[
+        str, options.option(None, "--host", help="Address on which the page is served.")
+    ] = options.LOOPBACK,
+) -> None:
+    """Serve the live page of one or more runs, on this machine or others."""
+    from a2s.commands.dashboard import show
+    from a2s.commands.process import stop_on_signals
+
+    with stop_on_signals() as stop:
+        show(targets or [], host, port, stop)
+    raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
+
+
+@app.command()
 def doctor(
     connect: Annotated[
         str | None,

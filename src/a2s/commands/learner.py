@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -78,10 +77,11 @@ class Place:
         with ExitStack() as stack:
             stop, url = stack.enter_context(stop_on_signals()), "off"
             if self.metrics_port != -1:
-                port, end = serve_on(
-                    self.metrics_port, LEARNER_METRICS_PORT, partial(metrics.serve, host)
+                port = serve_on(
+                    self.metrics_port,
+                    LEARNER_METRICS_PORT,
+                    lambda number: stack.enter_context(metrics.served(host, number)),
                 )
-                stack.callback(end)
                 url = f"http://{host}:{port}/metrics"
             stack.enter_context(run_directory.claimed(self.path))
             yield stop, metrics, url
@@ -276,11 +276,12 @@ def _banner(run: RunConfig, path: Path, endpoint: str, metrics_url: str) -> str:
         "\n  WARNING     this is not loopback and not encrypted: use it on trusted networks only"
     )  # fmt: skip
     evaluated = f"\n  evaluate it a2s actor --evaluate{connect}{name}" if run.evaluate_every else ""
+    page = "" if metrics_url == "off" else f"  live page   {metrics_url.removesuffix('metrics')}\n"
     return (
         f"a2s learner: {run.algo} {run.variant} on {run.env}, preset {run.preset}, "
         f"seed {run.seed}, {run.total_steps:,} steps\n"
         f"  listens on  {endpoint}{loud}\n"
-        f"  metrics     {metrics_url}\n"
+        f"  metrics     {metrics_url}\n{page}"
         f"  run         {path}\n"
         f"  join it     a2s actor --n 2{connect}{name}{evaluated}"
     )

@@ -1,0 +1,87 @@
+"""``a2s dashboard``: the live page of several runs, from their ``/metrics``, wherever they are."""
+
+import json
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from functools import partial
+from urllib.parse import urlsplit, urlunsplit
+
+import typer
+from prometheus_client.parser import text_string_to_metric_families
+
+from a2s.commands.process import LEARNER_METRICS_PORT, Stop, serve_on
+from a2s.learner.page.history import History
+from a2s.learner.page.server import Sampler, Server
+from a2s.protocol.errors import UsageError
+
+PORT = 9466
+_TIMEOUT_S = 1.5
+_SCHEMES = ("http", "https")
+
+
+def show(targets: Sequence[str], host: str, port: int | None, stop: Stop) -> None:
+    """Serve the page until stopped.
+
+    A target is ``HOST:PORT`` of a learner's metrics, or the whole address; none: the usual one of
+    this machine.
+
+    Raises:
+        UsageError: A target cannot be one, or the port is taken.
+    """
+    addresses = [address(target) for target in targets or [f"127.0.0.1:{LEARNER_METRICS_PORT}"]]
+    with ExitStack() as stack:
+        histories = [History() for _ in addresses]
+        for history, url in zip(histories, addresses, strict=True):
+            recall(history, url)
+            stack.enter_context(closing(Sampler(partial(scrape, history, url))))
+        server = serve_on(port, PORT, lambda number: Server(histories, host, number, "--port"))
+        stack.enter_context(closing(server))
+        typer.echo(f"a2s dashboard: http://{host}:{server.port}/")
+        for url in addresses:
+            typer.echo(f"  of          {url}")
+        stop.wait()
+
+
+def address(target: str) -> str:
+    """Complete the address of a learner's metrics.
+
+    Raises:
+        UsageError: It has no host or port, or another scheme than HTTP.
+    """
+    whole = target if "://" in target else f"http://{target}"
+    parts = urlsplit(whole)
+    try:
+        is_usable = parts.scheme in _SCHEMES and parts.hostname and (parts.port or "://" in target)
+    except ValueError:  # the port is no number
+        is_usable = False
+    if not is_usable:
+        raise UsageError(
+            f"a2s dashboard: found {target!r}, expected HOST:PORT of a learner's metrics"
+        )
+    return urlunsplit(parts._replace(path=parts.path if len(parts.path) > 1 else "/metrics"))
+
+
+def scrape(history: History, url: str) -> None:
+    """Take what the learner says now; nothing where it does not answer."""
+    try:
+        with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as reply:
+            text = reply.read().decode()
+        history.take(time.time(), text_string_to_metric_families(text))
+    except (OSError, ValueError):  # ValueError: something else answers there
+        history.is_up = False
+
+
+def recall(history: History, url: str) -> None:
+    """Take over what the learner's own page remembers, if it has one."""
+    data = url.removesuffix("metrics") + "data"
+    try:
+        with urllib.request.urlopen(data, timeout=_TIMEOUT_S) as reply:
+            (run,) = json.load(reply)["runs"]
+        for i, now_s in enumerate(run["t"]):
+            values = {name: series[i] for name, series in run["series"].items()}
+            history.add(now_s, {name: v for name, v in values.items() if v is not None})
+    except (OSError, ValueError, KeyError, TypeError):  # none: it begins now
+        return

@@ -1,0 +1,64 @@
+"""``a2s dashboard``: targets as a user writes them, and learners that do not answer."""
+
+from collections.abc import Iterator
+
+import pytest
+from prometheus_client import CollectorRegistry, Gauge
+
+from a2s.commands.dashboard import address, recall, scrape
+from a2s.learner.page.history import History
+from a2s.learner.page.server import Server
+from a2s.protocol.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"),
+    [
+        ("127.0.0.1:9464", "http://127.0.0.1:9464/metrics"),
+        ("far.example:80", "http://far.example:80/metrics"),
+        ("[::1]:9464", "http://[::1]:9464/metrics"),
+        ("http://host:1/", "http://host:1/metrics"),
+        ("https://host/runs/a/metrics", "https://host/runs/a/metrics"),
+    ],
+)
+def test_an_address_is_completed(target: str, expected: str) -> None:
+    assert address(target) == expected
+
+
+@pytest.mark.parametrize("target", ["host", "host:port", "ftp://host:1", ":9464", ""])
+def test_what_is_no_address_is_refused(target: str) -> None:
+    with pytest.raises(UsageError, match="expected HOST:PORT of a learner's metrics"):
+        address(target)
+
+
+@pytest.fixture
+def learner() -> Iterator[Server]:
+    """What a learner serves, with a past of two samples."""
+    registry, history = CollectorRegistry(), History()
+    Gauge("a2s_learner_kl", "", registry=registry).set(0.5)
+    Gauge("a2s_learner_q_mean", "", registry=registry).set(float("nan"))
+    for second in (1.0, 2.0):
+        history.take(second, registry.collect())
+    server = Server([history], "127.0.0.1", 0, "--port", registry)
+    yield server
+    server.close()
+
+
+def test_a_dashboard_that_begins_late_knows_what_the_learner_remembers(learner: Server) -> None:
+    url, history = address(f"127.0.0.1:{learner.port}"), History()
+    recall(history, url)
+    scrape(history, url)
+    told = history.since(0.0)
+    assert told["t"][:2] == [1.0, 2.0]
+    assert told["series"]["a2s_learner_kl"] == [0.5, 0.5, 0.5]
+    assert history.is_up
+
+
+def test_a_learner_that_does_not_answer_is_down(learner: Server) -> None:
+    url, history = address(f"127.0.0.1:{learner.port}"), History()
+    scrape(history, url)
+    learner.close()
+    scrape(history, url)
+    assert not history.is_up
+    recall(history, url)  # and has no past
+    assert len(history.since(0.0)["t"]) == 1
