@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scores import Scores, area, compare
 from suites import SUITES, kept_evaluations, name_of
+
+from a2s.commands.statistics import Scores, area, compare
 
 HERE = Path(__file__).parent
 _LAST = 5

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scores import interval
 from suites import SUITES, kept_episodes, name_of
 
 from a2s.commands.plot import read_curve
+from a2s.commands.statistics import interval
 
 COLUMNS = {
     "mean": "mean action",

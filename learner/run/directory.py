@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from a2s.protocol.errors import RunDirectoryError, UsageError
 from a2s.protocol.fields import MAX_METRICS
@@ -111,6 +111,15 @@ def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     if not resume and (run_dir / CONFIG).exists():
         raise UsageError(f"--run-dir: {run_dir} holds a run; add --resume, or name another")
     return run_dir
+
+
+class EvaluationRow(NamedTuple):
+    """An evaluation while training: when it was done, steps of its weights, and the returns."""
+
+    wall_s: float
+    env_steps: int
+    mean: float
+    std: float
 
 
 class RunDirectory:
@@ -225,8 +234,8 @@ class RunDirectory:
                 self._evaluations = self._open_table(EVALUATIONS, EVALUATION_COLUMNS)
             csv.writer(self._evaluations).writerow([f"{self._clock():.3f}", *row])
 
-    def read_evaluations(self, mode: str) -> list[tuple[int, float, float]]:
-        """Steps, and mean and deviation of the returns, of every evaluation in a mode so far.
+    def read_evaluations(self, mode: str) -> list[EvaluationRow]:
+        """Every evaluation in a mode so far.
 
         Raises:
             RunDirectoryError: A line is not one of this table; all files are closed.
@@ -254,7 +263,7 @@ class RunDirectory:
                 file.close()
 
 
-def evaluations(path: Path, mode: str) -> list[tuple[int, float, float]]:
+def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
     """Read ``evaluations.csv`` of a run directory, if there is one, as `read_evaluations` does.
 
     Raises:
@@ -268,9 +277,12 @@ def evaluations(path: Path, mode: str) -> list[tuple[int, float, float]]:
         rows = csv.DictReader(file)
         try:
             for row in rows:
-                score = float(row["return_mean"]), float(row["return_std"])
+                each = EvaluationRow(
+                    float(row["wall_s"]), int(row["env_steps"]), float(row["return_mean"]),
+                    float(row["return_std"]),
+                )  # fmt: skip
                 if row["mode"] == mode:
-                    found.append((int(row["env_steps"]), *score))
+                    found.append(each)
         except (KeyError, TypeError, ValueError, csv.Error):
             raise RunDirectoryError(
                 f"{table} line {rows.line_num}: expected {','.join(EVALUATION_COLUMNS)}; mend it, "

@@ -34,8 +34,8 @@ class Evaluating:
         self._evaluations, self._directory = evaluations, directory
         self._metrics, self._status = metrics, status
         self._wanted = self._steps = 0
-        for env_steps, mean, std in directory.read_evaluations("mean"):
-            status.evaluated(Score(env_steps, mean, std))
+        for each in directory.read_evaluations("mean"):
+            status.evaluated(Score(each.env_steps, each.mean, each.std))
 
     def want(self, make_graph: Callable[[int, float], bytes]) -> None:
         """Have the present weights evaluated if it is time, on episodes that were never played."""

@@ -247,14 +247,31 @@ def plot(
     output: Annotated[
         Path, typer.Option("--output", "-o", envvar="A2S_OUTPUT", help="Picture to write.")
     ] = Path("curves.png"),
+    by: Annotated[
+        str, options.option(None, "--by", metavar="steps|time", help="What they are drawn over.")
+    ] = "steps",
 ) -> None:
-    """Draw learning curves: every seed light, their mean with a moving average of 3."""
+    """Draw learning curves: every seed light, their interquartile mean, its 95 % interval."""
     run_cli.require_learner()
+    from a2s.commands.plot import axis_of
     from a2s.commands.plot import plot as draw
 
-    for reason in draw(runs, output):
+    for reason in draw(runs, output, axis_of(by)):
         typer.echo(f"a2s: left out: {reason}", err=True)
     typer.echo(output)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Run directories, the first to compare with.")],
+    json_: options.Json = False,
+) -> None:
+    """Compare ways of learning: interquartile means over seeds, intervals, chances to be better."""
+    run_cli.require_learner()
+    from a2s.commands.compare import compare_runs, page
+
+    found = compare_runs(runs)
+    typer.echo(json.dumps(found) if json_ else page(found))
 
 
 @app.command()

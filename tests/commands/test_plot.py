@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.commands.plot import identity, on_a_grid, plot, smooth
+from a2s.commands.plot import axis_of, identity, on_a_grid, plot, smooth
 from a2s.protocol.errors import UsageError
 
 
@@ -54,6 +54,23 @@ def test_what_the_environment_told_has_a_panel_of_its_own(tmp_path: Path) -> Non
     drawn = (tmp_path / "curves.svg").read_text()
     assert "<!-- Hopper-v5: is_success -->" in drawn
     assert "<!-- is_success of an episode -->" in drawn
+
+
+def test_three_seeds_have_an_interval_and_two_have_none(tmp_path: Path) -> None:
+    rows = [(10 * i, float(i)) for i in range(1, 50)]
+    runs = [_run(tmp_path / name, rows) for name in "abc"]
+    for count, is_there in ((2, False), (3, True)):
+        plot(runs[:count], tmp_path / "curves.svg")
+        drawn = (tmp_path / "curves.svg").read_text()
+        assert ("FillBetweenPolyCollection" in drawn) == is_there
+
+
+def test_curves_can_be_drawn_over_the_time_that_they_took(tmp_path: Path) -> None:
+    run = _run(tmp_path / "a", [(10, 1.0), (20, 2.0)])
+    plot([run], tmp_path / "curves.svg", axis_of("time"))
+    assert "<!-- seconds -->" in (tmp_path / "curves.svg").read_text()
+    with pytest.raises(UsageError, match=r"--by: found 'tim' .did you mean 'time'"):
+        axis_of("tim")
 
 
 def test_evaluations_while_training_have_a_panel_beside_the_returns(tmp_path: Path) -> None:

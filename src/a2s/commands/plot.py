@@ -4,14 +4,16 @@ import csv
 import gzip
 import textwrap
 from pathlib import Path
+from typing import Literal, get_args
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 
+from a2s.commands.statistics import band, iqm
 from a2s.learner.run import config as configuration
 from a2s.learner.run.directory import CONFIG, EPISODE_COLUMNS, evaluations
-from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.errors import RunDirectoryError, UsageError, nearest
 
 mpl.use("agg")
 
@@ -21,16 +23,23 @@ _POINTS = 100
 _WINDOW = 3
 _LETTERS = 64  # in the legend of a panel
 
+Axis = Literal["steps", "time"]
+_COLUMN: dict[Axis, str] = {"steps": "env_steps", "time": "wall_s"}
+_NAMES: dict[Axis, str] = {"steps": "environment steps", "time": "seconds"}
+_LEAST_SEEDS = 3  # for an interval
 Curve = npt.NDArray[np.float64]
 # By environment, or "environment: metric", then by way of learning: steps and values of each seed.
 Panels = dict[str, dict[str, list[tuple[Curve, Curve]]]]
 
 
-def read_curve(episodes: Path, what: str = "return") -> tuple[Curve, Curve]:
+def read_curve(
+    episodes: Path, what: str = "return", axis: str = "env_steps"
+) -> tuple[Curve, Curve]:
     """Read a column of an ``episodes.csv``, or of an ``episodes.csv.gz``.
 
     Returns:
-        Environment steps and value of every finished episode that has one, each ``[E]``.
+        Environment steps, or what else ``axis`` names, and value of every finished episode that has
+        one, each ``[E]``.
 
     Raises:
         UsageError: The file cannot be read, or no episode has ended yet.
@@ -38,13 +47,25 @@ def read_curve(episodes: Path, what: str = "return") -> tuple[Curve, Curve]:
     opened = gzip.open if episodes.suffix == ".gz" else open
     try:
         with opened(episodes, "rt", newline="") as file:
-            rows = [(int(r["env_steps"]), float(r[what])) for r in csv.DictReader(file) if r[what]]
+            rows = [(float(r[axis]), float(r[what])) for r in csv.DictReader(file) if r[what]]
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise UsageError(f"{episodes}: cannot be read as the episodes of a run: {error}") from None
     if not rows:
         raise UsageError(f"{episodes}: no episode has ended yet")
     steps, returns = zip(*rows, strict=True)
     return np.array(steps, dtype=np.float64), np.array(returns)
+
+
+def axis_of(name: str) -> Axis:
+    """Read what curves are drawn over.
+
+    Raises:
+        UsageError: It is neither.
+    """
+    for axis in get_args(Axis):
+        if axis == name:
+            return axis  # type: ignore[no-any-return]
+    raise UsageError(f"--by: found {name!r}{nearest(name, get_args(Axis))}")
 
 
 def smooth(values: Curve, window: int = _WINDOW) -> Curve:
@@ -75,8 +96,10 @@ def on_a_grid(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
     return centres, np.array(binned)
 
 
-def plot(runs: list[Path], output: Path) -> list[str]:
+def plot(runs: list[Path], output: Path, axis: Axis = "steps") -> list[str]:
     """Draw the runs: one panel per environment and metric, one colour for each way of learning.
+
+    The suffix of ``output`` decides what kind of picture it is.
 
     Returns:
         One line for each run that was left out, and why; the others were drawn.
@@ -90,13 +113,14 @@ def plot(runs: list[Path], output: Path) -> list[str]:
         try:
             env, label = identity(run)
             episodes = run / "episodes.csv"
-            curves = {env: read_curve(episodes)}
+            curves = {env: read_curve(episodes, axis=_COLUMN[axis])}
             with episodes.open(newline="") as file:  # metrics have the columns after ours
                 metrics = next(csv.reader(file), [])[len(EPISODE_COLUMNS) :]
-            curves |= {f"{env}: {metric}": read_curve(episodes, metric) for metric in metrics}
-            if found := evaluations(run, "mean"):
-                steps, returns, _ = np.array(found).T
-                curves[f"{env}: evaluation return"] = steps, returns
+            for metric in metrics:
+                curves[f"{env}: {metric}"] = read_curve(episodes, metric, _COLUMN[axis])
+            if evaluated := evaluations(run, "mean"):
+                found = np.array([(getattr(e, _COLUMN[axis]), e.mean) for e in evaluated])
+                curves[f"{env}: evaluation return"] = found[:, 0], found[:, 1]
         except (UsageError, RunDirectoryError) as error:
             left_out.append(str(error))
         else:
@@ -104,12 +128,14 @@ def plot(runs: list[Path], output: Path) -> list[str]:
                 panels.setdefault(title, {}).setdefault(label, []).append(curve)
     if not panels:
         raise UsageError(left_out[0])
-    draw(panels, output)
+    draw(panels, output, axis)
     return left_out
 
 
-def draw(panels: Panels, output: Path) -> None:
-    """Draw curves, for each seed and their mean; a label has one colour in all panels.
+def draw(panels: Panels, output: Path, axis: Axis = "steps") -> None:
+    """Draw curves: every seed, their interquartile mean, and its 95 % interval.
+
+    A label has one colour in all panels; of one or two seeds there is no interval.
 
     Raises:
         UsageError: The picture cannot be written.
@@ -122,18 +148,21 @@ def draw(panels: Panels, output: Path) -> None:
     labels = sorted({label for groups in panels.values() for label in groups})
     size = (6 * len(panels), 4.2 + 0.25 * rows)
     figure, axes = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
-    for axis, (title, groups) in zip(axes[0], sorted(panels.items()), strict=True):
+    for place, (title, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for label, curves in sorted(groups.items()):
             colour = f"C{labels.index(label)}"  # of matplotlib's cycle
             steps, returns = on_a_grid(curves)
-            axis.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
-            mean = smooth(returns.mean(0))
-            axis.plot(steps, mean, color=colour, linewidth=2.0, label=legends[title][label])
-        axis.set_title(title)
-        axis.set_xlabel("environment steps")
-        axis.set_ylabel(f"{title.partition(': ')[2] or 'training return'} of an episode")
-        axis.grid(alpha=0.3)
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
+            place.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
+            middle = smooth(iqm(returns.T))
+            place.plot(steps, middle, color=colour, linewidth=2.0, label=legends[title][label])
+            if len(returns) >= _LEAST_SEEDS:
+                low, high = map(smooth, band(returns.T))
+                place.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        place.set_title(title)
+        place.set_xlabel(_NAMES[axis])
+        place.set_ylabel(f"{title.partition(': ')[2] or 'training return'} of an episode")
+        place.grid(alpha=0.3)
+        place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(output, dpi=120)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from a2s.learner.ingest.evaluations import Evaluations
-from a2s.learner.run.directory import RunDirectory, evaluations
+from a2s.learner.run.directory import EvaluationRow, RunDirectory, evaluations
 from a2s.learner.run.evaluating import Evaluating
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
@@ -136,7 +136,8 @@ def test_a_resumed_run_knows_the_best_of_its_earlier_starts(
     run.reach(200)
     run.play(7.0, 7.0)
     assert (tmp_path / "best" / "policy.onnx").read_bytes() == b"graph 100"
-    assert evaluations(tmp_path, "mean") == [(100, 8.0, 1.0), (200, 7.0, 0.0)]
+    rows = [EvaluationRow(1.5, 100, 8.0, 1.0), EvaluationRow(1.5, 200, 7.0, 0.0)]
+    assert evaluations(tmp_path, "mean") == rows
 
 
 def test_a_damaged_table_is_named(tmp_path: Path, make_run: MakeRun) -> None:

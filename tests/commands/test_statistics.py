@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from scores import area, compare, interval, iqm
+
+from a2s.commands.statistics import area, band, compare, interval, iqm
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
@@ -37,3 +38,17 @@ def test_the_area_is_the_mean_height_of_the_curve() -> None:
     """Half of it at 0, then up to 4 within a quarter, then there."""
     steps, mean = np.array([0.0, 2.0, 3.0, 4.0]), np.array([0.0, 0.0, 4.0, 4.0])
     assert area(steps, mean) == pytest.approx((0.0 + 2.0 + 4.0) / 4.0)
+
+
+def test_the_band_of_a_curve_is_the_interval_at_each_point() -> None:
+    """Where the seeds agree it has no width; elsewhere it is that of all 27 draws."""
+    curve = np.array([[2.0, 2.0, 2.0], [1.0, 2.0, 6.0]])
+    low, high = band(curve)
+    means = [np.mean(curve[1][list(draw)]) for draw in np.ndindex(3, 3, 3)]
+    expected = np.percentile(means, [2.5, 97.5], method="inverted_cdf")
+    assert (low[0], high[0]) == (2.0, 2.0)
+    assert [low[1], high[1]] == pytest.approx(expected.tolist(), abs=1e-9)
+
+
+def test_a_ratio_to_nothing_is_no_number() -> None:
+    assert np.isnan(compare([1.0], [0.0]).ratio)

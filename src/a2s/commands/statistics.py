@@ -4,6 +4,7 @@ Source: Agarwal et al. 2021, "Deep reinforcement learning at the edge of the sta
 (the method of the package rliable): stratified bootstrap over the seeds of each task, percentiles.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 Scores = npt.NDArray[np.float64]
 
 _RESAMPLES = 10_000
+_CURVE_RESAMPLES = 2_000
 
 
 def iqm(scores: Scores) -> Scores:
@@ -38,13 +40,24 @@ def interval(scores: list[list[float]], seed: int = 0) -> tuple[float, float, fl
     return float(iqm(np.concatenate(tasks))), float(low), float(high)
 
 
+def band(scores: Scores, seed: int = 0) -> tuple[Scores, Scores]:
+    """The 95 % interval of the interquartile mean at every point of a curve: ``[P, S]`` to ``[P]``.
+
+    The seeds are resampled whole, once for all points.
+    """
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(scores.shape[1], size=(_CURVE_RESAMPLES, scores.shape[1]))
+    low, high = np.percentile(iqm(scores[:, drawn]), [2.5, 97.5], axis=1)
+    return low, high
+
+
 class Comparison(NamedTuple):
     """How much larger the scores of one way of learning are than those of another, one task."""
 
     difference: float  # of the interquartile means
     low: float  # of its 95 % interval
     high: float
-    ratio: float  # of the interquartile means
+    ratio: float  # of the interquartile means; NaN: theirs is 0
     improvement: float  # chance that a run of the one has a larger score than one of the other
 
 
@@ -64,7 +77,7 @@ def compare(ours: list[float], theirs: list[float], seed: int = 0) -> Comparison
         means[0] - means[1],
         float(low),
         float(high),
-        means[0] / means[1],
+        means[0] / means[1] if means[1] else math.nan,
         float(above.mean() + 1) / 2,
     )
 

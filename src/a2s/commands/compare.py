@@ -1,0 +1,130 @@
+"""``a2s compare``: what runs are worth beside each other, with intervals over their seeds."""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from a2s.commands.plot import Curve, identity, read_curve
+from a2s.commands.statistics import area, compare, interval
+from a2s.learner.numerals import written
+from a2s.learner.run.directory import evaluations
+from a2s.protocol.errors import RunDirectoryError, UsageError
+
+_LAST = 5  # evaluations
+_LAST_SHARE = 0.1  # of the steps, where there are no evaluations
+_FEW = 3
+
+
+class Worth(NamedTuple):
+    """What a run is worth: mean height of its curve, and its end."""
+
+    area: float
+    final: float
+
+
+def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
+    """Group runs by environment and way of learning, and compare each group with the first.
+
+    The order is that of ``runs``. If all runs of an environment were evaluated while training, the
+    evaluations count (by the mean action), else the returns of training.
+
+    Returns:
+        The JSON object of ``a2s compare --json``: for each group ``env``, ``label``, ``of``
+        (``evaluations`` or ``training``), ``seeds``, and under ``area`` and ``final`` the
+        interquartile mean and its 95 % interval; and of what differs from the first group.
+
+    Raises:
+        UsageError: One is not a run directory, or has no return yet.
+    """
+    groups: dict[str, dict[str, list[Path]]] = {}
+    for run in runs:
+        env, label = identity(run)
+        groups.setdefault(env, {}).setdefault(label, []).append(run)
+    found = []
+    for env, by_label in groups.items():
+        everyone = [run for members in by_label.values() for run in members]
+        is_evaluated = all(_evaluations(run) is not None for run in everyone)
+        first: list[Worth] | None = None
+        for label, members in by_label.items():
+            worth = [worth_of(run, evaluated=is_evaluated) for run in members]
+            of = "evaluations" if is_evaluated else "training"
+            row: dict[str, Any] = {"env": env, "label": label, "of": of, "seeds": len(members)}
+            for name in Worth._fields:
+                row[name] = _measure(name, worth, first)
+            found.append(row)
+            first = first or worth
+    return found
+
+
+def worth_of(run: Path, *, evaluated: bool) -> Worth:
+    """What a run is worth by its evaluations, or by its training returns.
+
+    Raises:
+        UsageError: There is nothing to judge by.
+    """
+    found = _evaluations(run) if evaluated else None
+    steps, returns = read_curve(run / "episodes.csv") if found is None else found
+    if found is not None:
+        last = returns[-_LAST:]
+    else:
+        last = returns[steps > (1.0 - _LAST_SHARE) * steps[-1]]
+    height = area(steps, returns) if steps[-1] > steps[0] else float(returns.mean())
+    return Worth(height, float(last.mean()))
+
+
+def _evaluations(run: Path) -> tuple[Curve, Curve] | None:
+    try:
+        found = evaluations(run, "mean")
+    except RunDirectoryError as error:
+        raise UsageError(str(error)) from None
+    if not found:
+        return None
+    steps, returns = np.array(sorted((each.env_steps, each.mean) for each in found)).T
+    return steps, returns
+
+
+def _measure(name: str, worth: list[Worth], first: list[Worth] | None) -> dict[str, float | None]:
+    ours = [float(getattr(each, name)) for each in worth]
+    iqm, low, high = interval([ours])
+    told: dict[str, float | None] = {"iqm": iqm, "low": low, "high": high}
+    if first is not None:
+        theirs = [float(getattr(each, name)) for each in first]
+        told |= dict(zip(_OF_DIFFERENCE, compare(ours, theirs), strict=True))
+        told["ratio"] = told["ratio"] if math.isfinite(told["ratio"] or 0.0) else None
+    return told
+
+
+_OF_DIFFERENCE = (
+    "difference", "difference_low", "difference_high", "ratio", "probability_of_improvement",
+)  # fmt: skip
+
+
+def page(found: Iterable[dict[str, Any]]) -> str:
+    """Write the result of `compare_runs` for a reader."""
+    lines: list[str] = []
+    env = ""
+    for row in found:
+        if row["env"] != env:
+            env = row["env"]
+            lines += ([""] if lines else []) + [f"{env}, by {row['of']}"]
+        seeds = "1 seed" if row["seeds"] == 1 else f"{row['seeds']} seeds"
+        lines.append(f"  {row['label']} ({seeds})")
+        for name, words in (("area", "mean over the run"), ("final", "at its end")):
+            lines.append(f"    {words:<18} {_of(row[name])}")
+        if row["seeds"] < _FEW:
+            lines.append("    an interval of so few seeds says little")
+    return "\n".join(lines)
+
+
+def _of(told: dict[str, float]) -> str:
+    line = f"{written(told['iqm'])} [{written(told['low'])}, {written(told['high'])}]"
+    if "difference" not in told:
+        return line
+    difference, low, high = (
+        f"{told[name]:+.4g}" for name in ("difference", "difference_low", "difference_high")
+    )
+    better = f"better with probability {told['probability_of_improvement']:.2f}"
+    return f"{line}   {difference} [{low}, {high}] from the first, {better}"

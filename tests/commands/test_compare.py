@@ -1,0 +1,71 @@
+"""Comparing runs: groups as a reader would make them, figures as by hand."""
+
+from pathlib import Path
+
+import pytest
+
+from a2s.commands.compare import compare_runs, page, worth_of
+from a2s.protocol.errors import UsageError
+
+
+def _run(
+    path: Path, height: float, hyper: str = "", *, evaluated: bool = False, env: str = "Hopper-v5"
+) -> Path:
+    """A run whose training returns rise to a height in 1,000 steps, evaluated at twice that."""
+    path.mkdir()
+    (path / "config.toml").write_text(f'[run]\nenv = "{env}"\n[hyper]\n{hyper}\n')
+    lines = [f"0,{s},0,1,{height * s / 1000},5,1" for s in (100, 500, 950, 1000)]
+    header = "wall_s,env_steps,actor,weights_version,return,length,terminated"
+    (path / "episodes.csv").write_text("\n".join([header, *lines]) + "\n")
+    if evaluated:
+        header = "wall_s,env_steps,weights_version,mode,episodes,return_mean,return_std"
+        rows = [f"1,{s},1,mean,10,{2 * height},0" for s in (200, 400, 600, 800, 1000)]
+        rows += ["1,1000,1,best-of-k,10,9999,0"]
+        (path / "evaluations.csv").write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def test_a_run_is_worth_its_mean_height_and_its_end(tmp_path: Path) -> None:
+    """A straight line from 100 at 100 steps to 1,000 at 1,000; its last tenth begins after 900."""
+    run = _run(tmp_path / "a", 1000.0, evaluated=True)
+    assert worth_of(run, evaluated=False) == (550.0, 975.0)
+    assert worth_of(run, evaluated=True) == (2000.0, 2000.0)
+
+
+def test_runs_are_grouped_by_how_they_learned_and_compared_with_the_first(tmp_path: Path) -> None:
+    ours = [_run(tmp_path / f"a{i}", height, evaluated=True) for i, height in enumerate((20, 30))]
+    theirs = [
+        _run(tmp_path / f"b{i}", height, "suggestions = 4", evaluated=True)
+        for i, height in enumerate((10.0, 10.0))
+    ]
+    first, second = compare_runs([theirs[0], *ours, theirs[1]])
+    assert (first["label"], first["seeds"]) == ("a2s modern, suggestions=4", 2)
+    assert first["of"] == "evaluations"
+    assert first["final"] == {"iqm": 20.0, "low": 20.0, "high": 20.0}
+    assert (second["label"], second["final"]["iqm"]) == ("a2s modern", 50.0)
+    found = second["final"]
+    assert (found["difference"], found["ratio"]) == (30.0, 2.5)
+    assert (found["difference_low"], found["difference_high"]) == (20.0, 40.0)
+    assert found["probability_of_improvement"] == 1.0
+    said = page([first, second])
+    assert said.startswith("Hopper-v5, by evaluations\n  a2s modern, suggestions=4 (2 seeds)\n")
+    assert "50.0 [40.0, 60.0]   +30 [+20, +40] from the first" in said
+    assert "so few seeds says little" in said
+
+
+def test_where_one_was_not_evaluated_the_returns_of_training_count(tmp_path: Path) -> None:
+    """Each environment by itself."""
+    runs = [
+        _run(tmp_path / "a", 10.0, evaluated=True),
+        _run(tmp_path / "b", 0.0, "suggestions = 4"),
+        _run(tmp_path / "c", 10.0, evaluated=True, env="Walker2d-v5"),
+    ]
+    first, second, other = compare_runs(runs)
+    assert (first["of"], other["of"]) == ("training", "evaluations")
+    assert second["final"]["ratio"] == 0.0
+    assert compare_runs(runs[1::-1])[1]["final"]["ratio"] is None  # of nothing
+
+
+def test_what_is_no_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is not a run directory"):
+        compare_runs([tmp_path])
