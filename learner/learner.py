@@ -27,6 +27,7 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import RecoveryEvent
 
 _EVALUATION_WAIT_S = 1.0
+_EVALUATIONS = "evaluations by `a2s actor --evaluate`"
 
 
 class Learner:
@@ -211,7 +212,8 @@ class Learner:
         self._feed.open(lambda: status.message(self._feed.attendance().members))
 
     def _finish(self, proceed: Callable[[str], bool]) -> dict[str, Any]:
-        while self._evaluating.unfinished and proceed("the last evaluation"):
+        begin_s = time.monotonic()
+        while self._evaluating.awaits(time.monotonic() - begin_s) and proceed(_EVALUATIONS):
             self._evaluating.look(_EVALUATION_WAIT_S)
         self._count(self._feed.stop())
         status, path = self._status, self._directory.path

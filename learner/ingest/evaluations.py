@@ -38,6 +38,12 @@ class Evaluations:
             taken = sum(task is not None for task in self._present.values())
             return taken + len(self._waiting) if self._present else 0
 
+    @property
+    def waiting(self) -> int:
+        """Tasks that nobody has taken yet."""
+        with self._changed:
+            return len(self._waiting)
+
     def want(self, task: EvaluationTask) -> None:
         """Have weights evaluated."""
         with self._changed:
@@ -77,12 +83,10 @@ class Evaluations:
             task = self._present.pop(evaluator, None)
             if task is not None and len(self._waiting) < MAX_WAITING:
                 self._waiting.appendleft(task)
-            self._changed.notify_all()
 
     def take(self, timeout_s: float = 0.0) -> list[Evaluated]:
-        """Take the results since the last call, or wait for some as long as a task is played."""
+        """Take the results since the last call, or wait for one."""
         with self._changed:
-            if not self._done:
-                self._changed.wait_for(lambda: self._done or not self._present, timeout_s)
+            self._changed.wait_for(lambda: self._done, timeout_s)
             done, self._done = self._done, []
             return done

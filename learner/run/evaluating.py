@@ -16,6 +16,7 @@ from a2s.protocol.evaluation_messages import (
 )
 
 _MOST_SEEDS = 1 << 63
+_COMING_S = 30.0  # for an evaluator that is still starting
 
 
 class Evaluating:
@@ -62,10 +63,10 @@ class Evaluating:
         for evaluated in self._evaluations.take(timeout_s):
             self._write_down(evaluated)
 
-    @property
-    def unfinished(self) -> int:
-        """Evaluations that an evaluator is still to make."""
-        return self._evaluations.unfinished
+    def awaits(self, waited_s: float) -> bool:
+        """Whether the end of a run has to wait: for an evaluator at work, or a little for one."""
+        is_early = waited_s < _COMING_S and self._evaluations.waiting > 0
+        return is_early or self._evaluations.unfinished > 0
 
     def _write_down(self, evaluated: Evaluated) -> None:
         task, result = evaluated

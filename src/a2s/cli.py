@@ -275,6 +275,61 @@ def compare(
 
 
 @app.command()
+def tune(
+    context: typer.Context,
+    trials: Annotated[
+        int, options.whole_number(None, "--trials", low=1, help="Trials in all, resumed ones too.")
+    ] = 30,
+    parallel: Annotated[
+        int, options.whole_number(None, "--parallel", low=1, help="Trials at once.")
+    ] = 1,
+    space: Annotated[
+        list[str] | None,
+        options.option(
+            None,
+            "--space",
+            metavar="KEY=RANGE",
+            show_default="nine of the usual ones",
+            help="LOW..HIGH, LOW..HIGH:log or VALUE,VALUE of a hyperparameter; may be repeated.",
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the search.")] = Path(
+        "tune"
+    ),
+    env: options.Env = None,
+    total_steps: options.TotalSteps = None,
+    seed: options.Seed = None,
+    env_kwargs: options.EnvKwargs = None,
+    wrappers: options.Wrapper = None,
+    action_repeat: options.ActionRepeat = None,
+    frame_stack: options.FrameStack = None,
+    max_episode_steps: options.MaxEpisodeSteps = None,
+    env_timeout_s: options.EnvTimeout = None,
+    variant: options.Variant = None,
+    algo: options.Algo = None,
+    preset: options.Preset = None,
+    settings: options.Set = None,
+    envs: options.Envs = None,
+    evaluation_episodes: options.EvaluationEpisodes = None,
+    json_: options.Json = False,
+) -> None:
+    """Search for hyperparameters with Optuna; the best are a file for --config."""
+    run_cli.require_learner()
+    from a2s.commands.process import stop_on_signals
+    from a2s.commands.tune import Search, default_space, line, parse_range
+    from a2s.commands.tune import tune as search_for
+
+    given = options.named(context, [n for n in options.OF_RUN if n in context.params])
+    ranges = [parse_range(text) for text in space or default_space(variant, algo)]
+    words = options.words(context, given)
+    search = Search(output.absolute(), words, given, settings or [], ranges)
+    with stop_on_signals() as stop:
+        found = search_for(search, trials=trials, parallel=parallel, seed=seed or 0, stop=stop)
+    typer.echo(json.dumps(found) if json_ else line(found))
+    raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
+
+
+@app.command()
 def bench(
     suite: Annotated[str, typer.Argument(help="actor, learner, wire or replay.")],
     rounds: Annotated[

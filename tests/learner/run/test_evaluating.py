@@ -155,6 +155,20 @@ def test_a_run_ends_when_an_evaluation_is_as_good_as_was_wanted(make_run: MakeRu
     assert run.status.is_finished
 
 
+def test_the_end_waits_a_little_for_an_evaluator_and_as_long_as_needed_for_its_work(
+    make_run: MakeRun,
+) -> None:
+    run = make_run()
+    assert not run.evaluating.awaits(0.0)
+    run.reach(100)
+    assert run.evaluating.awaits(29.0)
+    assert not run.evaluating.awaits(31.0)
+    assert run.ask() is not None
+    assert run.evaluating.awaits(1000.0)
+    run.play(0.0, 0.0)
+    assert not run.evaluating.awaits(0.0)
+
+
 def test_a_return_to_stop_at_needs_evaluations() -> None:
     with pytest.raises(UsageError, match=r"stop_at_return: only evaluations .* --evaluate-every"):
         RunConfig(stop_at_return=1.0)
