@@ -37,6 +37,7 @@ EVALUATION_COLUMNS = (
 )
 EVALUATIONS = "evaluations.csv"
 CONFIG = "config.toml"
+ENDPOINT = "endpoint"
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -120,6 +121,20 @@ class EvaluationRow(NamedTuple):
     env_steps: int
     mean: float
     std: float
+
+
+def endpoint(path: Path) -> str:
+    """Where the latest learner of a run listens, or has listened.
+
+    Raises:
+        UsageError: The directory does not say.
+    """
+    try:
+        return (path / ENDPOINT).read_text()
+    except (OSError, ValueError):
+        raise UsageError(
+            f"{path}: is not the directory of a run with actors, no usable {ENDPOINT}"
+        ) from None
 
 
 class RunDirectory:

@@ -81,6 +81,10 @@ app.command()(run_cli.train)
 
 @app.command()
 def status(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="[DIR]", help="A run directory, instead of --run and --connect."),
+    ] = None,
     run: options.Run = None,
     connect: options.Connect = DEFAULT_ENDPOINT,
     watch: Annotated[bool, typer.Option("--watch", help="Every second, until its end.")] = False,
@@ -89,7 +93,10 @@ def status(
     """Look at a live run: its progress, what limits it, and what each actor does."""
     from a2s.commands.process import stop_on_signals
     from a2s.commands.status import status as look
+    from a2s.commands.status import where
 
+    if directory is not None:
+        run, connect = where(directory)
     with stop_on_signals() as stop:
         look(run or "default", connect, watch=watch, as_json=json_, stop=stop)
 

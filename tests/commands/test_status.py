@@ -2,8 +2,12 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
-from a2s.commands.status import page
+import pytest
+
+from a2s.commands.status import page, where
+from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import ActorStatus, RunStatus
 
 ACTOR = ActorStatus(
@@ -52,3 +56,13 @@ def test_what_an_actor_is_stuck_in_or_has_dropped_is_told() -> None:
     assert trouble == "host-0-1f: E: reward is nan (0 steps dropped so far)"
     quick = replace(ACTOR, doing="step of environment 3 for 0 s")
     assert list(page(replace(RUN, actors=(quick,)))) == list(page(RUN))
+
+
+def test_a_run_directory_says_where_its_learner_is(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"config.toml"):
+        where(tmp_path)
+    (tmp_path / "config.toml").write_text('[run]\nrun = "hop"\n')
+    with pytest.raises(UsageError, match="is not the directory of a run with actors"):
+        where(tmp_path)
+    (tmp_path / "endpoint").write_text("tcp/127.0.0.1:9")
+    assert where(tmp_path) == ("hop", "tcp/127.0.0.1:9")

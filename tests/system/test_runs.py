@@ -156,7 +156,7 @@ def test_a_live_run_is_watched_and_found_by_the_doctor(
     actor = start("actor", "--connect", endpoint, "--run", "seen", "--metrics-port", "-1")
     wait_for(lambda: _updates(tmp_path / "seen") >= 1, "an update")
     look = ("--connect", endpoint, "--json")
-    watcher = start("status", "--watch", "--run", "seen", *look)
+    watcher = start("status", "--watch", "seen", "--json")
     stranger = start("status", *look)
     assert stranger.process.wait(PATIENCE_S) == 1
     assert "no answer for run 'default'" in stranger.text()

@@ -91,6 +91,10 @@ class Place:
         text = configuration.to_toml()
         run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
 
+    def write_endpoint(self, endpoint: str) -> None:
+        """Write down where the learner listens, for ``a2s status``."""
+        run_directory.write_atomically(self.path / run_directory.ENDPOINT, endpoint.encode())
+
     def run(self, learner: Learner, stop: Stop) -> dict[str, Any]:
         """Run a learner until it is done or stopped; gives the summary."""
         if learner.done:
@@ -138,6 +142,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
                 resume=place.resume,
             )
             place.write_config(configuration)
+            place.write_endpoint(endpoint)
             summary = place.run(learner, stop)
         typer.echo(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "

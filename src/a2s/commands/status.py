@@ -7,11 +7,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import typer
 
 from a2s.learner.numerals import written
+from a2s.learner.run import config as configuration
+from a2s.learner.run import directory as run_directory
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.keys import Keys
@@ -49,6 +52,16 @@ def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threadin
             if told is None:
                 typer.echo(f"run {run}: its learner has gone", err=True)
                 return
+
+
+def where(directory: Path) -> tuple[str, str]:
+    """The name of the run in a directory, and where its learner listens.
+
+    Raises:
+        UsageError: It is not the directory of a run with actors.
+    """
+    options, _ = configuration.read(directory / run_directory.CONFIG)
+    return str(options.get("run", "default")), run_directory.endpoint(directory)
 
 
 def page(told: RunStatus) -> Iterator[str]:
