@@ -1,5 +1,6 @@
 """Makes the learner of a run: with actors, or from another run's replay."""
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,7 @@ from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.server import Server
+from a2s.learner.initial import begin_with
 from a2s.learner.learner import Learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.update import OffPolicy
@@ -28,6 +30,8 @@ from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.transport import Bus
+
+logger = logging.getLogger(__name__)
 
 
 def make_learner(
@@ -49,7 +53,7 @@ def make_learner(
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or resumed.
-        UsageError: The hyperparameters contradict each other.
+        UsageError: The hyperparameters contradict each other, or ``init_from`` does not fit.
     """
     run, hyper = configuration.run, configuration.hyper
     kind = f"{run.variant} on {run.env}"
@@ -66,6 +70,7 @@ def make_learner(
         )
     else:
         trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
+    _begin(trainer, run, saved)
     return Learner(
         run=run,
         trainer=trainer,
@@ -109,6 +114,7 @@ def make_replay_learner(
     algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved))
     metadata = policy_metadata(run, spaces)
     trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
+    _begin(trainer, run, saved)
     feed = ReplayFeed(source, trainer, hyper.utd_ratio)
     return Learner(
         run=run,
@@ -123,6 +129,12 @@ def make_replay_learner(
         metrics=metrics,
         view=view,
     )
+
+
+def _begin(trainer: Trainer, run: RunConfig, saved: Saved | None) -> None:
+    """Have a run that does not go on begin with what another has learned, if that is wanted."""
+    if run.init_from and saved is None:
+        logger.warning("%s", begin_with(trainer, Path(run.init_from), run.variant))
 
 
 def make_off_policy(

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -113,7 +113,7 @@ class OffPolicyTrainer:
         self._metadata, self._metrics = metadata, metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._update = update_of(algorithm)
-        self._updates = updates
+        self._updates, self._knows = updates, False
         self.columns = (*source.columns, *SHOWN)
 
     @property
@@ -123,7 +123,7 @@ class OffPolicyTrainer:
 
     def graph(self, version: int, progress: float, *, averaged: bool = False) -> bytes:
         """Uniform actions until there is enough to learn from, then the suggester."""
-        warms_up = self._updates == 0
+        warms_up = self._updates == 0 and not self._knows
         suggester = self._algorithm.suggester(*self._bounds, warms_up=warms_up, averaged=averaged)
         return export(suggester, version, self._metadata)
 
@@ -148,6 +148,11 @@ class OffPolicyTrainer:
             self._metrics.show_off_policy(shown, means.count)
             row |= shown
         return Outcome(row | dict(self._source.end_round(means.count, update_s)))
+
+    def begin_with(self, saved: Saved, taken: Sequence[str]) -> None:
+        """Take parts of another run's state; actors then play them from the beginning."""
+        self._algorithm.train_state.begin_with(saved[0], taken)
+        self._knows = True
 
     def state(self) -> Saved:
         """The state of the algorithm and the source.

@@ -110,6 +110,10 @@ class OnPolicyTrainer:
         """The state of the algorithm."""
         return self._algorithm.state()
 
+    def begin_with(self, saved: Saved, taken: Sequence[str]) -> None:
+        """Take parts of another run's state; the unit of V and Q goes with them."""
+        self._algorithm.begin_with(*saved, taken)
+
     def close(self) -> None:
         """There are no files to close."""
 

@@ -1,6 +1,6 @@
 """The interface between the learner's loop and a variant of the algorithm."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor
@@ -64,6 +64,10 @@ class Trainer(Protocol):
 
     def state(self) -> Saved:
         """Tensors, and numbers that survive JSON: everything that going on from here needs."""
+        ...
+
+    def begin_with(self, saved: Saved, taken: Sequence[str]) -> None:
+        """Take parts of another run's `state`: networks and ``normaliser``, by name."""
         ...
 
     def close(self) -> None:

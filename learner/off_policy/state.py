@@ -1,5 +1,7 @@
 """Everything that off-policy learning changes."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -97,6 +99,18 @@ class TrainState:
         for name, adam in self.adam.items():
             found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}
         return found
+
+    def begin_with(self, stored: dict[str, Tensor], taken: Sequence[str]) -> None:
+        """Take networks, ``log_temperature`` or ``normaliser`` of another run's `tensors`.
+
+        With the critics goes the size of returns, which is their unit.
+        """
+        parts = {*taken, *(["return_size"] if "critics" in taken else [])}
+        for name, tensor in self.tensors().items():
+            if name.partition(".")[0] in parts:
+                tensor.copy_(stored[name])
+        for ensemble in (self.policy, self.critics, self.targets):
+            ensemble.refresh()
 
     def load(self, stored: dict[str, Tensor]) -> None:
         """Overwrite all of it.

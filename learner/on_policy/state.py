@@ -1,5 +1,6 @@
 """Everything that learning changes: contents of a checkpoint, and state restored by a recovery."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -193,6 +194,27 @@ class TrainState:
         self.recovery.load(scalars["recovery"])
         self.updates = scalars["updates"]
         self.q_trusted = scalars["q_trusted"]
+
+    def begin_with(
+        self, tensors: dict[str, Tensor], scalars: dict[str, Any], taken: Sequence[str]
+    ) -> None:
+        """Take ``policy``, ``value``, ``q`` or ``normaliser`` of another run's `state`.
+
+        With V or Q goes the scale of returns, which is the unit of both, and with Q what it is
+        worth.
+        """
+        present = scalars["present"]
+        for name in self._flat.keys() & set(taken):
+            self._flat[name].copy_(tensors[name])
+        if "normaliser" in taken:
+            for name, buffer in self.normaliser.named_buffers():
+                buffer.copy_(tensors[f"normaliser.{name}"])
+        if "value" in taken or "q" in taken:
+            self.returns.load(present["returns"])
+        if "q" in taken:
+            self.q_trusted = scalars["q_trusted"]
+            self.calibration = Calibration(**present["calibration"])
+            self.act_inverse_temperature = present["act_inverse_temperature"]
 
     def _capture(self) -> Snapshot:
         tensors = {name: flat.clone() for name, flat in self._flat.items()}

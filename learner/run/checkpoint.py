@@ -54,8 +54,8 @@ def save(
     return path, len(data) + len(text)
 
 
-def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read the newest checkpoint of a run of this kind.
+def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read the newest checkpoint of a run of this kind, or of any.
 
     Returns:
         Tensors and state, as they were given to :func:`save`.
@@ -79,7 +79,7 @@ def load(folder: Path, *, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]
                 f"checkpoint {path}: found format {checked['format']}, expected {_FORMAT}; another "
                 "version of a2s made it: go on with that one, or begin another run"
             )
-        if checked["kind"] != kind:
+        if kind not in (None, checked["kind"]):
             raise RunDirectoryError(
                 f"checkpoint {path}: found {checked['kind']}, expected {kind}; "
                 "--resume goes on with the same run only"

@@ -43,6 +43,7 @@ class RunConfig(Settings):
     total_steps: int = setting(1_000_000, "Environment steps at which the run ends", low=1)
     seed: int = setting(0, "Seed of everything", low=0, high=2**63 - 1)
     clock: Clock = setting("lockstep", "lockstep: one version, one batch; async: actors never wait")
+    init_from: str = setting("", "Run directory whose weights it begins with, as far as they fit")
     n: int = setting(1, "Actor processes that the first weights wait for", low=1)
     envs: int = setting(8, "Environments in each actor process", low=1, high=4096)
     checkpoint_every_updates: int = setting(20, "Updates between checkpoints", low=1)

@@ -28,7 +28,7 @@ OF_ENVIRONMENT = (
 OF_RUN = (
     *OF_ENVIRONMENT, "total_steps", "seed", "run", "variant", "algo", "preset", "suggestions",
     "recovery", "lockstep", "n", "envs", "threads", "device", "keep_policy_every_updates",
-    "evaluate_every", "evaluation_episodes", "stop_at_return",
+    "evaluate_every", "evaluation_episodes", "stop_at_return", "init_from",
 )  # fmt: skip
 
 
@@ -78,6 +78,10 @@ def whole_number(
     return option(panel, *names, **{"parser": parse, "metavar": metavar, **settings})
 
 
+def _absolute(place: str) -> str:
+    return str(Path(place).absolute())
+
+
 def _variable(name: str) -> str:
     return name.partition("/")[0].replace("--", "A2S_").replace("-", "_").upper()
 
@@ -110,6 +114,10 @@ Resume = Annotated[bool, option(
 Config = Annotated[Path | None, option(
     _RUN, "--config", metavar="FILE",
     help="TOML file with the tables run and hyper, as every run directory has one.",
+)]
+InitFrom = Annotated[str | None, option(
+    _RUN, "--init-from", metavar="DIR", parser=_absolute,
+    help="Begin with the weights and normalisers of this run, as far as they fit.",
 )]
 KeepPolicyEvery = Annotated[int | None, whole_number(
     _RUN, "--keep-policy-every", low=0, show_default="0",
