@@ -6,9 +6,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,13 @@ def make_graph() -> MakeGraph:
         obs_size: int = 2,
         low: tuple[float, ...] = (-1.0, 0.5),
         high: tuple[float, ...] = (3.0, 0.75),
+        metadata: Mapping[str, str] = MappingProxyType({"env": "a2s_test_envs:Count-v0"}),
         **overrides: Any,
     ) -> bytes:
         algorithm = OnPolicy(obs_size, len(low), OnPolicyConfig(**overrides), seed=0)
         algorithm.q_trusted = True
         suggester = algorithm.suggester(torch.tensor(low), torch.tensor(high))
-        return export(suggester, 3, {"env": "a2s_test_envs:Count-v0"})
+        return export(suggester, 3, metadata)
 
     return make
 

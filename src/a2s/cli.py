@@ -219,6 +219,21 @@ def record(
 
 
 @app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", envvar="A2S_OUTPUT", help="New folder.")
+    ] = Path("policy"),
+    weights: options.WhichWeights = "latest",
+) -> None:
+    """Write a folder with the policy that works without a2s: Python, JavaScript, a model card."""
+    from a2s.commands.export import export_run
+
+    for file in export_run(run, output, weights):
+        typer.echo(file)
+
+
+@app.command()
 def check(
     context: typer.Context,
     environment: Annotated[
