@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from a2s.learner.run.progress import View
 from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.saver import Saver
 from a2s.learner.run.status import POSITION, Status
+from a2s.learner.run.tensorboard import Board
 from a2s.learner.trainer import Outcome, Saved, Trainer
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.fields import Spaces
@@ -68,6 +69,7 @@ class Learner:
             self._saver.go_on(saved[1])
         names = run.env_config().metric_names
         self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
+        self._board = Board(path, run.variant) if run.tensorboard else None
         self._evaluating = Evaluating(evaluations, directory, metrics, status)
         status.generation = directory.count_start()
         status.env_steps = status.steps_at_start = env_steps
@@ -97,7 +99,10 @@ class Learner:
             self._show()
             return not stopped() and not self._status.is_good
 
-        with closing(self._directory), closing(self._trainer), closing(self._feed):
+        with ExitStack() as stack:
+            for part in (self._directory, self._trainer, self._feed, self._board):
+                if part is not None:
+                    stack.enter_context(closing(part))
             self._open()
             try:
                 self._publish()
@@ -195,6 +200,8 @@ class Learner:
         self._metrics.show_episodes(status.episodes)
         self._show(outcome.kl)
         self._evaluating.want(partial(self._trainer.graph, averaged=True))
+        if self._board is not None:
+            self._board.update(outcome.row, status)
 
         def passed(every: int) -> bool:
             return every > 0 and status.updates // every > before // every

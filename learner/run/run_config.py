@@ -57,6 +57,7 @@ class RunConfig(Settings):
     stop_at_return: float = setting(
         math.inf, "The run ends when an evaluation has this mean return, or more"
     )
+    tensorboard: bool = setting(False, "Write tensorboard/ in the run directory as well")
     threads: int = setting(1, "Threads of torch; small networks are fastest with one", low=1)
     device: Device = setting("cpu", "Where off-policy networks learn; actors need no GPU")
 

@@ -29,6 +29,7 @@ OF_RUN = (
     *OF_ENVIRONMENT, "total_steps", "seed", "run", "variant", "algo", "preset", "suggestions",
     "recovery", "lockstep", "n", "envs", "threads", "device", "keep_policy_every_updates",
     "evaluate_every", "evaluation_episodes", "stop_at_return", "init_from",
+    "tensorboard",
 )  # fmt: skip
 
 
@@ -118,6 +119,10 @@ Config = Annotated[Path | None, option(
 InitFrom = Annotated[str | None, option(
     _RUN, "--init-from", metavar="DIR", parser=_absolute,
     help="Begin with the weights and normalisers of this run, as far as they fit.",
+)]
+Tensorboard = Annotated[bool | None, option(
+    _RUN, "--tensorboard/--no-tensorboard", show_default="off",
+    help="Write event files for TensorBoard, with the names of Stable-Baselines3, as well.",
 )]
 KeepPolicyEvery = Annotated[int | None, whole_number(
     _RUN, "--keep-policy-every", low=0, show_default="0",

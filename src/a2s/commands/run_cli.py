@@ -44,6 +44,7 @@ def learner(
     device: options.Device = None,
     keep_policy_every_updates: options.KeepPolicyEvery = None,
     init_from: options.InitFrom = None,
+    tensorboard: options.Tensorboard = None,
     evaluate_every: options.EvaluateEvery = None,
     evaluation_episodes: options.EvaluationEpisodes = None,
     stop_at_return: options.StopAtReturn = None,
@@ -105,6 +106,7 @@ def train(
     device: options.Device = None,
     keep_policy_every_updates: options.KeepPolicyEvery = None,
     init_from: options.InitFrom = None,
+    tensorboard: options.Tensorboard = None,
     evaluate_every: options.EvaluateEvery = None,
     evaluation_episodes: options.EvaluationEpisodes = None,
     stop_at_return: options.StopAtReturn = None,
@@ -157,6 +159,8 @@ def _configure(
 
     settings, resume = context.params["settings"], context.params["resume"]
     configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
+    if configuration.run.tensorboard and importlib.util.find_spec("tensorboardX") is None:
+        raise UsageError("--tensorboard needs tensorboardX; pip install 'a2s[tensorboard]'")
     if context.params["print_config"]:
         typer.echo(configuration.explain())
         raise typer.Exit
