@@ -14,10 +14,12 @@ import typer
 from a2s.learner.numerals import whole
 from a2s.protocol.errors import UsageError
 
+_FIRST = "To begin with"
 _RUN = "The run"
 _ENVIRONMENT = "The environment"
 _ALGORITHM = "The algorithm"
 _PLACE = "Where"
+_REPLAY = "Another run's replay"
 LOOPBACK = "127.0.0.1"
 _MAX_SHOWN = 100_000  # a range that ends beyond says nothing to a reader
 
@@ -91,26 +93,27 @@ def _variable(name: str) -> str:
 # fmt: off
 
 Env = Annotated[str | None, option(
-    _RUN, "--env", metavar="ENV", show_default="Hopper-v5",
+    _FIRST, "--env", metavar="ENV", show_default="Hopper-v5",
     help="Gymnasium id, module:Id-v0, module:Class, or ./FILE.py:Id-v0.",
 )]
 TotalSteps = Annotated[int | None, whole_number(
-    _RUN, "--total-steps", low=1, show_default="1000000",
+    _FIRST, "--total-steps", low=1, show_default="1000000",
     help="Environment steps at which the run ends, for example 1e6.",
 )]
 Seed = Annotated[int | None, whole_number(
-    _RUN, "--seed", low=0, high=2**63 - 1, show_default="0", help="Seed of everything.",
+    _FIRST, "--seed", low=0, high=2**63 - 1, show_default="0", help="Seed of everything.",
 )]
 Run = Annotated[str | None, option(
     _RUN, "--run", metavar="NAME", show_default="default",
     help="Name of the run: actors join it by this name.",
 )]
 RunDir = Annotated[Path | None, option(
-    _RUN, "--run-dir", metavar="DIR", show_default="runs/RUN, or the first free of runs/RUN-2, ...",
+    _FIRST, "--run-dir", metavar="DIR",
+    show_default="runs/RUN, or the first free of runs/RUN-2, ...",
     help="Directory of the run.",
 )]
 Resume = Annotated[bool, option(
-    _RUN, "--resume", help="Go on from the newest checkpoint of the run.",
+    _FIRST, "--resume", help="Go on from the newest checkpoint of the run.",
 )]
 Config = Annotated[Path | None, option(
     _RUN, "--config", metavar="FILE",
@@ -235,11 +238,15 @@ Connect = Annotated[str, option(
     _PLACE, "--connect", metavar="ENDPOINT", help="Endpoint of the learner.",
 )]
 ReplayFrom = Annotated[str | None, option(
-    None, "--replay-from", metavar="RUN", show_envvar=True,
+    _REPLAY, "--replay-from", metavar="RUN",
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
 )]
 Evaluate = Annotated[bool, option(
     None, "--evaluate", help="Evaluate the newest weights instead of playing for the learner.",
+)]
+ReplayConnect = Annotated[str, option(
+    _REPLAY, "--connect", metavar="ENDPOINT",
+    help="With --replay-from: endpoint of the learner whose replay it is.",
 )]
 OutboxSteps = Annotated[int, whole_number(
     None, "--outbox-steps", low=1, show_envvar=True,

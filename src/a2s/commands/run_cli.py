@@ -52,7 +52,7 @@ def learner(
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = options.LOOPBACK,
     replay_from: options.ReplayFrom = None,
-    connect: options.Connect = DEFAULT_ENDPOINT,
+    connect: options.ReplayConnect = DEFAULT_ENDPOINT,
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
