@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from a2s import __version__
-from a2s.commands import options, replay_cli, run_cli
+from a2s.commands import groups, options, replay_cli, run_cli
 from a2s.commands.process import EXIT_INTERRUPTED, end_on_signals, open_standard_streams
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
@@ -155,49 +155,36 @@ def doctor(
 
 
 @app.command()
+@groups.taking(groups.ENVIRONMENT)
 def evaluate(
     context: typer.Context,
     run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],
-    env: options.Env = None,
     episodes: options.Episodes = 10,
     mode: options.Mode = "mean",
     weights: options.WhichWeights = "latest",
     seed: options.Seed = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
-    info_metrics: options.InfoMetric = None,
     json_: options.Json = False,
 ) -> None:
     """Play fresh episodes with a trained policy."""
     from a2s.commands.evaluate import evaluate_run, line
 
-    given = options.named(context, options.OF_ENVIRONMENT)
+    given = options.named(context, groups.ENVIRONMENT)
     found = evaluate_run(run, given, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
     typer.echo(json.dumps(found) if json_ else line(found))
 
 
 @app.command()
+@groups.taking(groups.ENVIRONMENT)
 def record(
     context: typer.Context,
     run: Annotated[Path, typer.Argument(help="A run directory, or a policy file.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", envvar="A2S_OUTPUT", help="Video to write.")
     ] = Path("video.mp4"),
-    env: options.Env = None,
     episodes: options.Episodes = 1,
     mode: options.Mode = "mean",
     weights: options.WhichWeights = "latest",
     seed: options.Seed = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
     overlay: Annotated[
         bool, typer.Option("--overlay/--no-overlay", help="Write steps, return and Q on it.")
     ] = True,
@@ -207,7 +194,7 @@ def record(
     from a2s.commands.process import stop_on_signals
     from a2s.commands.record import line, record_run
 
-    given = options.named(context, [n for n in options.OF_ENVIRONMENT if n != "info_metrics"])
+    given = options.named(context, groups.ENVIRONMENT)
     with stop_on_signals() as stop:
         found = record_run(
             run, given, output=output, episodes=episodes, mode=mode, weights=weights,
@@ -234,19 +221,13 @@ def export(
 
 
 @app.command()
+@groups.taking(groups.ENVIRONMENT)
 def check(
     context: typer.Context,
     environment: Annotated[
         str | None, typer.Argument(help="As --env of a2s train.", metavar="ENV")
     ] = None,
     env: options.Env = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
-    info_metrics: options.InfoMetric = None,
     json_: options.Json = False,
 ) -> None:
     """Try an environment: whether it can be trained on, what it is, and how fast."""
@@ -257,7 +238,7 @@ def check(
 
     if (environment is None) == (env is None):
         raise UsageError("a2s check: name one environment, for example a2s check Hopper-v5")
-    given = {**options.named(context, options.OF_ENVIRONMENT), "env": environment or env}
+    given = {**options.named(context, groups.ENVIRONMENT), "env": environment or env}
     found = try_out(environment_of(given), pass_on)
     command = shlex.join(["a2s", "train", *options.words(context, given)])
     typer.echo(json.dumps(found) if json_ else page(found, command))
@@ -297,6 +278,7 @@ def compare(
 
 
 @app.command()
+@groups.taking(groups.ENVIRONMENT, groups.ALGORITHM)
 def tune(
     context: typer.Context,
     trials: Annotated[
@@ -318,21 +300,7 @@ def tune(
     output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the search.")] = Path(
         "tune"
     ),
-    env: options.Env = None,
-    total_steps: options.TotalSteps = None,
-    seed: options.Seed = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
-    variant: options.Variant = None,
-    algo: options.Algo = None,
-    preset: options.Preset = None,
     settings: options.Set = None,
-    envs: options.Envs = None,
-    evaluation_episodes: options.EvaluationEpisodes = None,
     json_: options.Json = False,
 ) -> None:
     """Search for hyperparameters with Optuna; the best are a file for --config."""
@@ -341,12 +309,14 @@ def tune(
     from a2s.commands.tune import Search, default_space, line, parse_range
     from a2s.commands.tune import tune as search_for
 
-    given = options.named(context, [n for n in options.OF_RUN if n in context.params])
-    ranges = [parse_range(text) for text in space or default_space(variant, algo)]
+    given = options.named(context, [*groups.ENVIRONMENT, *groups.ALGORITHM])
+    ranges = [parse_range(text) for text in space or default_space(given["variant"], given["algo"])]
     words = options.words(context, given)
     search = Search(output.absolute(), words, given, settings or [], ranges)
     with stop_on_signals() as stop:
-        found = search_for(search, trials=trials, parallel=parallel, seed=seed or 0, stop=stop)
+        found = search_for(
+            search, trials=trials, parallel=parallel, seed=given["seed"] or 0, stop=stop
+        )
     typer.echo(json.dumps(found) if json_ else line(found))
     raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
 

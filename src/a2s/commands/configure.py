@@ -74,7 +74,7 @@ def placed(env: str) -> str:
 def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -> EnvConfig:
     """Make the configuration of an environment from options alone, ``None`` where not given.
 
-    They are ``env`` and those of :func:`a2s.commands.options.environment`. ``known``, a run's,
+    They are those of `a2s.commands.groups.ENVIRONMENT`. ``known``, a run's,
     fills in missing ones; it is ignored for another ``env``, and constructor arguments are added to
     its own.
 

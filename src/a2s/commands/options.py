@@ -23,17 +23,6 @@ _REPLAY = "Another run's replay"
 LOOPBACK = "127.0.0.1"
 _MAX_SHOWN = 100_000  # a range that ends beyond says nothing to a reader
 
-OF_ENVIRONMENT = (
-    "env", "env_kwargs", "wrappers", "action_repeat", "frame_stack", "max_episode_steps",
-    "env_timeout_s", "info_metrics",
-)  # fmt: skip
-OF_RUN = (
-    *OF_ENVIRONMENT, "total_steps", "seed", "run", "variant", "algo", "preset", "suggestions",
-    "recovery", "lockstep", "n", "envs", "threads", "device", "keep_policy_every_updates",
-    "evaluate_every", "evaluation_episodes", "stop_at_return", "init_from",
-    "tensorboard",
-)  # fmt: skip
-
 
 def named(context: typer.Context, names: Iterable[str]) -> dict[str, Any]:
     """Read parameters of a command: ``None`` where not given, tuples where repeatable."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from a2s.commands import options
+from a2s.commands.groups import RUN, taking
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
@@ -14,40 +15,14 @@ if TYPE_CHECKING:
     from a2s.learner.run.config import Configuration
 
 
+@taking(RUN)
 def learner(
     context: typer.Context,
-    env: options.Env = None,
-    total_steps: options.TotalSteps = None,
-    seed: options.Seed = None,
-    run: options.Run = None,
     run_dir: options.RunDir = None,
     resume: options.Resume = False,
     config: options.Config = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
-    info_metrics: options.InfoMetric = None,
-    variant: options.Variant = None,
-    algo: options.Algo = None,
-    preset: options.Preset = None,
-    suggestions: options.Suggestions = None,
-    recovery: options.Recovery = None,
     settings: options.Set = None,
-    lockstep: options.Lockstep = None,
     print_config: options.PrintConfig = False,
-    n: options.N = None,
-    envs: options.Envs = None,
-    threads: options.Threads = None,
-    device: options.Device = None,
-    keep_policy_every_updates: options.KeepPolicyEvery = None,
-    init_from: options.InitFrom = None,
-    tensorboard: options.Tensorboard = None,
-    evaluate_every: options.EvaluateEvery = None,
-    evaluation_episodes: options.EvaluationEpisodes = None,
-    stop_at_return: options.StopAtReturn = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = options.LOOPBACK,
@@ -56,9 +31,9 @@ def learner(
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
-    given = options.named(context, options.OF_RUN)
+    given = options.named(context, RUN)
     if replay_from:
-        given["variant"] = variant or "off-policy"
+        given["variant"] = given["variant"] or "off-policy"
     configuration, path = _configure(context, given, config, run_dir)
     from a2s.commands.learner import Place, learn, learn_from
 
@@ -72,44 +47,18 @@ def learner(
     if replay_from is None:
         code = learn(configuration, place, listen)
     else:
-        code = learn_from(configuration, place, replay_from, env=env, connect=connect)
+        code = learn_from(configuration, place, replay_from, env=given["env"], connect=connect)
     raise typer.Exit(code)
 
 
+@taking(RUN)
 def train(
     context: typer.Context,
-    env: options.Env = None,
-    total_steps: options.TotalSteps = None,
-    seed: options.Seed = None,
-    run: options.Run = None,
     run_dir: options.RunDir = None,
     resume: options.Resume = False,
     config: options.Config = None,
-    env_kwargs: options.EnvKwargs = None,
-    wrappers: options.Wrapper = None,
-    action_repeat: options.ActionRepeat = None,
-    frame_stack: options.FrameStack = None,
-    max_episode_steps: options.MaxEpisodeSteps = None,
-    env_timeout_s: options.EnvTimeout = None,
-    info_metrics: options.InfoMetric = None,
-    variant: options.Variant = None,
-    algo: options.Algo = None,
-    preset: options.Preset = None,
-    suggestions: options.Suggestions = None,
-    recovery: options.Recovery = None,
     settings: options.Set = None,
-    lockstep: options.Lockstep = None,
     print_config: options.PrintConfig = False,
-    n: options.N = None,
-    envs: options.Envs = None,
-    threads: options.Threads = None,
-    device: options.Device = None,
-    keep_policy_every_updates: options.KeepPolicyEvery = None,
-    init_from: options.InitFrom = None,
-    tensorboard: options.Tensorboard = None,
-    evaluate_every: options.EvaluateEvery = None,
-    evaluation_episodes: options.EvaluationEpisodes = None,
-    stop_at_return: options.StopAtReturn = None,
     listen: options.Listen = None,
     metrics_port: options.MetricsPort = None,
     episodes: options.Episodes = 10,
@@ -118,7 +67,7 @@ def train(
     json_: options.Json = False,
 ) -> None:
     """Train on this machine: a learner and its actors, then an evaluation and a curve."""
-    given = options.named(context, options.OF_RUN)
+    given = options.named(context, RUN)
     configuration, path = _configure(context, given, config, run_dir, defaults={"n": 2})
     from a2s.commands.train import train as train_here
 
