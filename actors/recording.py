@@ -39,6 +39,8 @@ def record(
 ) -> Report:
     """Play whole episodes in another process, and write them as a video (H.264 in MP4).
 
+    The file is there once it is whole; another of that name is kept until then.
+
     ``seed`` and ``proceed`` are as in `evaluate`; with ``overlay`` the pictures have the steps, the
     return so far, and by how much Q finds its best suggestion better than their mean.
 
@@ -50,11 +52,20 @@ def record(
         FaultyEnvironmentError: The environment raised, hung or died.
     """
     drawing = json.dumps({**json.loads(config.kwargs), "render_mode": "rgb_array"})
-    return ask_child(
-        __name__, replace(config, kwargs=drawing), on_words, proceed,
-        policy=str(policy), mode=mode, output=str(output), episodes=episodes, seed=seed,
-        overlay=overlay,
-    )  # fmt: skip
+    partial = output.with_name(f".{output.stem}.partial{output.suffix}")
+    try:
+        found = ask_child(
+            __name__, replace(config, kwargs=drawing), on_words, proceed,
+            policy=str(policy), mode=mode, output=str(partial), episodes=episodes, seed=seed,
+            overlay=overlay,
+        )  # fmt: skip
+        if found:
+            partial.rename(output)
+        return found
+    except OSError as error:
+        raise UsageError(f"{output}: {error.strerror}") from None
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _record(parent: Parent) -> None:

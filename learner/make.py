@@ -70,7 +70,7 @@ def make_learner(
         )
     else:
         trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
-    _begin(trainer, run, saved)
+    _begin(trainer, configuration, saved)
     return Learner(
         run=run,
         trainer=trainer,
@@ -114,7 +114,7 @@ def make_replay_learner(
     algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved))
     metadata = policy_metadata(run, spaces)
     trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
-    _begin(trainer, run, saved)
+    _begin(trainer, configuration, saved)
     feed = ReplayFeed(source, trainer, hyper.utd_ratio)
     return Learner(
         run=run,
@@ -131,10 +131,11 @@ def make_replay_learner(
     )
 
 
-def _begin(trainer: Trainer, run: RunConfig, saved: Saved | None) -> None:
+def _begin(trainer: Trainer, configuration: Configuration, saved: Saved | None) -> None:
     """Have a run that does not go on begin with what another has learned, if that is wanted."""
-    if run.init_from and saved is None:
-        logger.warning("%s", begin_with(trainer, Path(run.init_from), run.variant))
+    path = configuration.run.init_from
+    if path and saved is None:
+        logger.warning("%s", begin_with(trainer, Path(path), configuration))
 
 
 def make_off_policy(

@@ -28,7 +28,8 @@ class Evaluations:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._waiting: deque[EvaluationTask] = deque(maxlen=MAX_WAITING)
-        self._present: dict[str, EvaluationTask | None] = {}
+        self._seen: set[str] = set()  # by their tokens, which those have who may be missed
+        self._present: dict[str, EvaluationTask | None] = {}  # of those, who has asked
         self._done: list[Evaluated] = []
 
     @property
@@ -50,8 +51,13 @@ class Evaluations:
             self._waiting.append(task)
 
     def ask(self, request: EvaluationRequest) -> EvaluationTask | None:
-        """Give an evaluator a task, the same one again until it is answered; ``None``: no work."""
+        """Give an evaluator a task, the same one again until it is answered; ``None``: no work.
+
+        Nor is there work for one that has no token: nobody would see it leave.
+        """
         with self._changed:
+            if request.evaluator not in self._seen:
+                return None
             task = self._present.get(request.evaluator)
             if task is None and self._waiting:
                 task = self._waiting.popleft()
@@ -77,9 +83,15 @@ class Evaluations:
             self._done.append(Evaluated(task, result))
             self._changed.notify_all()
 
+    def here(self, name: str) -> None:
+        """An evaluator, or somebody else, can be seen."""
+        with self._changed:
+            self._seen.add(name)
+
     def gone(self, evaluator: str) -> None:
         """An evaluator has left, or somebody else."""
         with self._changed:
+            self._seen.discard(evaluator)
             task = self._present.pop(evaluator, None)
             if task is not None and len(self._waiting) < MAX_WAITING:
                 self._waiting.appendleft(task)

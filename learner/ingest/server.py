@@ -149,8 +149,10 @@ class Server(Feed):
         return b""
 
     def _on_presence(self, key: str, present: bool) -> None:
-        if not present:
-            name = key.rsplit("/", 1)[-1]
+        name = key.rsplit("/", 1)[-1]
+        if present:
+            self._evaluations.here(name)
+        else:
             self._ingest.gone(name)
             self._evaluations.gone(name)
 

@@ -67,10 +67,13 @@ class Server:
 
     def _answer(self, environ: dict[str, Any], start: StartResponse) -> Iterable[bytes]:
         path = environ.get("PATH_INFO", "")
+        if environ.get("REQUEST_METHOD") not in ("GET", "HEAD"):
+            start("405 Method Not Allowed", [("Allow", "GET, HEAD")])
+            return []
         if path == "/metrics" and self._metrics is not None:
             return self._metrics(environ, start)  # type: ignore[no-any-return]
         if path == "/data":
-            since = parse_qs(environ.get("QUERY_STRING", "")).get("since", ["0"])[0]
+            since = parse_qs(environ.get("QUERY_STRING", "")).get("since", [""])[0]
             return _send(start, "application/json", self._data(since))
         path = f"/{_PAGE}" if path in _ROOTS else path
         if path not in self._static:
@@ -80,15 +83,21 @@ class Server:
         return _send(start, kind, self._static[path])
 
     def _data(self, since: str) -> bytes:
-        try:
-            since_s = float(since)
-        except ValueError:
-            since_s = 0.0
+        """Tell what is new since the latest sample of each run: seconds, one number a run."""
+        known = [_number(text) for text in since.split(",")]
+        known += [0.0] * len(self._histories)
         runs = [
             {"about": history.about, "up": history.is_up, **history.since(since_s)}
-            for history in self._histories
+            for history, since_s in zip(self._histories, known, strict=False)
         ]
         return json.dumps({"now": time.time(), "runs": runs}).encode()
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
 
 
 class Sampler:

@@ -1,5 +1,6 @@
 """The directory of a run with all its files. ``docs/run-directory.md`` lists them."""
 
+import contextlib
 import csv
 import fcntl
 import io
@@ -7,7 +8,6 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -37,7 +37,7 @@ EVALUATION_COLUMNS = (
 )
 EVALUATIONS = "evaluations.csv"
 CONFIG = "config.toml"
-ENDPOINT = "endpoint"
+ENDPOINT, LOCK = "endpoint", "lock"
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -56,7 +56,7 @@ def write_atomically(path: Path, data: bytes) -> None:
         partial.rename(path)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _writing(path: Path | str) -> Iterator[None]:
     try:
         yield
@@ -64,7 +64,7 @@ def _writing(path: Path | str) -> Iterator[None]:
         raise RunDirectoryError(f"{path}: {error.strerror}; mend that and resume") from None
 
 
-@contextmanager
+@contextlib.contextmanager
 def claimed(path: Path) -> Iterator[None]:
     """Keep other learners out of a directory while the block lasts.
 
@@ -73,7 +73,7 @@ def claimed(path: Path) -> Iterator[None]:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        file = (path / "lock").open("a")
+        file = (path / LOCK).open("a")
     except OSError as error:
         raise RunDirectoryError(f"{path}: {error.strerror}; name another --run-dir") from None
     with file:
@@ -124,12 +124,15 @@ class EvaluationRow(NamedTuple):
 
 
 def endpoint(path: Path) -> str:
-    """Where the latest learner of a run listens, or has listened.
+    """Where the learner of a run listens.
 
     Raises:
-        UsageError: The directory does not say.
+        UsageError: The directory does not say, or no learner is at work there.
     """
     try:
+        with (path / LOCK).open() as file, contextlib.suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            raise UsageError(f"{path}: no learner is at work there; summary.json has how it ended")
         return (path / ENDPOINT).read_text()
     except (OSError, ValueError):
         raise UsageError(
@@ -288,7 +291,7 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
     if not table.exists():
         return []
     found = []
-    with table.open(newline="") as file:
+    with _reading(table) as file:
         rows = csv.DictReader(file)
         try:
             for row in rows:
@@ -304,6 +307,15 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
                 "or begin another run"
             ) from None
     return found
+
+
+@contextlib.contextmanager
+def _reading(table: Path) -> Iterator[IO[str]]:
+    try:
+        with table.open(newline="") as file:
+            yield file
+    except OSError as error:
+        raise RunDirectoryError(f"{table}: {error.strerror}") from None
 
 
 def _read_starts(path: Path) -> int:

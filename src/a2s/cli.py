@@ -86,7 +86,7 @@ def status(
         typer.Argument(metavar="[DIR]", help="A run directory, instead of --run and --connect."),
     ] = None,
     run: options.Run = None,
-    connect: options.Connect = DEFAULT_ENDPOINT,
+    connect: options.MaybeConnect = None,
     watch: Annotated[bool, typer.Option("--watch", help="Every second, until its end.")] = False,
     json_: options.Json = False,
 ) -> None:
@@ -96,9 +96,11 @@ def status(
     from a2s.commands.status import where
 
     if directory is not None:
+        if run or connect:
+            raise UsageError(f"a2s status: found {directory} and --run or --connect, expected one")
         run, connect = where(directory)
     with stop_on_signals() as stop:
-        look(run or "default", connect, watch=watch, as_json=json_, stop=stop)
+        look(run or "default", connect or DEFAULT_ENDPOINT, watch=watch, as_json=json_, stop=stop)
 
 
 @app.command()
@@ -201,6 +203,7 @@ def record(
             seed=seed or 0, overlay=overlay, proceed=lambda: not stop.is_set(),
         )  # fmt: skip
     if not found:
+        typer.echo("stopped: no video was written", err=True)
         raise typer.Exit(EXIT_INTERRUPTED)
     typer.echo(json.dumps(found) if json_ else line(found))
 
@@ -317,7 +320,8 @@ def tune(
         found = search_for(
             search, trials=trials, parallel=parallel, seed=given["seed"] or 0, stop=stop
         )
-    typer.echo(json.dumps(found) if json_ else line(found))
+    if found:
+        typer.echo(json.dumps(found) if json_ else line(found))
     raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
 
 

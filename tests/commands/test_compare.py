@@ -48,7 +48,9 @@ def test_runs_are_grouped_by_how_they_learned_and_compared_with_the_first(tmp_pa
     assert (found["difference_low"], found["difference_high"]) == (20.0, 40.0)
     assert found["probability_of_improvement"] == 1.0
     said = page([first, second])
-    assert said.startswith("Hopper-v5, by evaluations\n  a2s modern, suggestions=4 (2 seeds)\n")
+    assert said.startswith(
+        "Hopper-v5, by evaluations\n  a2s modern, suggestions=4 (2 seeds, 1,000 steps)\n"
+    )
     assert "50.0 [40.0, 60.0]   +30 [+20, +40] from the first" in said
     assert "so few seeds says little" in said
 
@@ -64,6 +66,18 @@ def test_where_one_was_not_evaluated_the_returns_of_training_count(tmp_path: Pat
     assert (first["of"], other["of"]) == ("training", "evaluations")
     assert second["final"]["ratio"] == 0.0
     assert compare_runs(runs[1::-1])[1]["final"]["ratio"] is None  # of nothing
+
+
+def test_a_run_counts_once(tmp_path: Path) -> None:
+    run = _run(tmp_path / "a", 1.0)
+    with pytest.raises(UsageError, match="found a run twice"):
+        compare_runs([run, tmp_path / "." / "a"])
+
+
+def test_what_is_not_finite_is_no_number(tmp_path: Path) -> None:
+    (found,) = compare_runs([_run(tmp_path / "a", float("nan"))])
+    assert found["final"] == {"iqm": None, "low": None, "high": None}
+    assert "no finite number" in page([found])
 
 
 def test_what_is_no_run_is_named(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from a2s.commands.status import page, where
+from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import UsageError
 from a2s.protocol.messages import ActorStatus, RunStatus
 
@@ -65,4 +66,7 @@ def test_a_run_directory_says_where_its_learner_is(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is not the directory of a run with actors"):
         where(tmp_path)
     (tmp_path / "endpoint").write_text("tcp/127.0.0.1:9")
-    assert where(tmp_path) == ("hop", "tcp/127.0.0.1:9")
+    with claimed(tmp_path):
+        assert where(tmp_path) == ("hop", "tcp/127.0.0.1:9")
+    with pytest.raises(UsageError, match="no learner is at work there"):
+        where(tmp_path)

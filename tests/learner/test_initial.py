@@ -14,12 +14,13 @@ from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.off_policy_trainer import OffPolicyTrainer
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.run import checkpoint
-from a2s.learner.run.config import off_policy, on_policy
+from a2s.learner.run.config import Configuration, assemble, off_policy, on_policy
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import Spaces
 
+SMALL = {"critic_sizes": "16,16", "policy_sizes": "16,16", "precision": "f32"}
 OBS = np.array([[0.3, -0.7]], np.float32)
 
 
@@ -36,10 +37,16 @@ def _on_policy(seed: int, obs_size: int = 2, **hyper: Any) -> OnPolicyTrainer:
 def _saved(path: Path, saved: Saved, variant: str) -> Path:
     """What a run leaves behind."""
     path.mkdir()
-    (path / "config.toml").write_text(f'[run]\nvariant = "{variant}"\n')
+    hyper = '[hyper]\ncritic_sizes = [16, 16]\npolicy_sizes = [16, 16]\nprecision = "f32"\n'
+    hyper = hyper if variant == "off-policy" else ""
+    (path / "config.toml").write_text(f'[run]\nvariant = "{variant}"\n{hyper}')
     tensors, algorithm = saved
     checkpoint.save(path / "checkpoints", 3, tensors, {"algorithm": algorithm}, kind="any")
     return path
+
+
+def _configuration(variant: str = "on-policy", **hyper: Any) -> Configuration:
+    return assemble({"variant": variant}, {**(SMALL if variant == "off-policy" else {}), **hyper})
 
 
 @pytest.fixture
@@ -65,7 +72,7 @@ def test_it_acts_as_the_other_did_with_its_normaliser_and_its_q(
     path, trainer = other
     ours = _on_policy(seed=2)
     assert _acts(ours) != _acts(trainer)
-    words = begin_with(ours, path, "on-policy")
+    words = begin_with(ours, path, _configuration())
     assert words == f"begins with policy, value, q, normaliser of {path}"
     for mode in ("mean", "best-of-k", "behaviour"):
         assert _acts(ours, mode) == _acts(trainer, mode)
@@ -75,7 +82,7 @@ def test_all_else_begins_anew(other: tuple[Path, OnPolicyTrainer]) -> None:
     """No update is made yet, the window is empty, and Adam has no memory."""
     path, _ = other
     ours, fresh = _on_policy(seed=2), _on_policy(seed=2)
-    begin_with(ours, path, "on-policy")
+    begin_with(ours, path, _configuration())
     found, expected = ours.state()[0], fresh.state()[0]
     assert found.keys() == expected.keys()
     same = {name for name in found if torch.equal(found[name], expected[name])}
@@ -89,7 +96,7 @@ def test_a_network_of_another_size_is_left_out_and_named(
 ) -> None:
     path, trainer = other
     ours = _on_policy(seed=2, q_sizes="32,32")
-    words = begin_with(ours, path, "on-policy")
+    words = begin_with(ours, path, _configuration(q_sizes="32,32"))
     assert words.endswith("; not with q, which has other sizes there")
     assert _acts(ours)[0] == _acts(trainer)[0]
     assert _acts(ours, "best-of-k")[-1] == 0.0  # Q is not trusted yet
@@ -101,12 +108,14 @@ def test_what_cannot_be_begun_with_is_refused_and_changes_nothing(
     path, _ = other
     ours = _on_policy(seed=2, obs_size=3)
     before = {name: tensor.clone() for name, tensor in ours.state()[0].items()}
-    with pytest.raises(UsageError, match=r"the policy of .* does not fit: found .* expected"):
-        begin_with(ours, path, "on-policy")
+    with pytest.raises(UsageError, match=r"the policy of .* does not fit: its observations, its"):
+        begin_with(ours, path, _configuration())
+    with pytest.raises(UsageError, match="does not fit"):  # as many numbers, in other layers
+        begin_with(_on_policy(seed=2), path, _configuration(norm_obs="false"))
     with pytest.raises(UsageError, match="is on-policy, expected off-policy"):
-        begin_with(ours, path, "off-policy")
+        begin_with(ours, path, _configuration("off-policy"))
     with pytest.raises(UsageError, match=r"config.toml"):
-        begin_with(ours, tmp_path / "nowhere", "on-policy")
+        begin_with(ours, tmp_path / "nowhere", _configuration())
     assert all(torch.equal(before[name], tensor) for name, tensor in ours.state()[0].items())
 
 
@@ -120,8 +129,7 @@ class _NoSource:
 
 
 def _off_policy(seed: int) -> OffPolicyTrainer:
-    small = {"critic_sizes": "16,16", "policy_sizes": "16,16", "precision": "f32"}
-    algorithm = OffPolicy(2, 1, off_policy("modern", small), seed, "cpu")
+    algorithm = OffPolicy(2, 1, off_policy("modern", SMALL), seed, "cpu")
     source: Any = _NoSource()
     return OffPolicyTrainer(algorithm, source, _spaces(), {}, LearnerMetrics())
 
@@ -132,7 +140,7 @@ def test_off_policy_actors_play_what_was_learned_from_the_first_step(tmp_path: P
     path = _saved(tmp_path / "other", (trainer.state()[0], {}), "off-policy")
     ours = _off_policy(seed=2)
     warm_up = Suggester(ours.graph(1, 0.0)).metadata["mode"]
-    begin_with(ours, path, "off-policy")
+    begin_with(ours, path, _configuration("off-policy"))
     assert Suggester(ours.graph(1, 0.0)).metadata["mode"] != warm_up
     first = next(iter(trainer.state()[0]))
     assert torch.equal(ours.state()[0][first], trainer.state()[0][first])

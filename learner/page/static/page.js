@@ -18,7 +18,7 @@ const PANELS = [
   ["Replay, transitions", [["rows", "replay_transitions"], ["behind the wanted ratio", "samples_per_insert_error"]]],
 ];
 const runs = [];
-let newest = 0, charts = [], drawn = "", axis = "time";
+let charts = [], drawn = "", axis = "time";
 
 const $ = (id) => document.getElementById(id);
 const last = (run, name) => run.series[name]?.at(-1) ?? null;
@@ -70,7 +70,6 @@ function merge(told) {
     }
     const old = run.t.findIndex((t) => t >= told.now - KEPT_S);
     if (old > 0) for (const each of [run.t, ...Object.values(run.series)]) each.splice(0, old);
-    newest = Math.max(newest, run.t.at(-1) ?? 0);
   });
 }
 
@@ -258,7 +257,7 @@ function show() {
 
 async function poll() {
   try {
-    const reply = await fetch(`data?since=${newest}`);
+    const reply = await fetch(`data?since=${runs.map((run) => run.t.at(-1) ?? 0)}`);
     merge(await reply.json());
   } catch {
     runs.forEach((run) => { run.up = false; }); // whoever serves this page has gone

@@ -33,13 +33,16 @@ def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
 
     Returns:
         The JSON object of ``a2s compare --json``: for each group ``env``, ``label``, ``of``
-        (``evaluations`` or ``training``), ``seeds``, and under ``area`` and ``final`` the
+        (``evaluations`` or ``training``), ``seeds``, ``env_steps`` of each, and under ``area`` and ``final`` the
         interquartile mean and its 95 % interval; and of what differs from the first group.
 
     Raises:
         UsageError: One is not a run directory, or has no return yet.
     """
     groups: dict[str, dict[str, list[Path]]] = {}
+    places = [run.resolve() for run in runs]
+    if len(set(places)) < len(places):
+        raise UsageError("a2s compare: found a run twice, expected each once")
     for run in runs:
         env, label = identity(run)
         groups.setdefault(env, {}).setdefault(label, []).append(run)
@@ -52,6 +55,7 @@ def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
             worth = [worth_of(run, evaluated=is_evaluated) for run in members]
             of = "evaluations" if is_evaluated else "training"
             row: dict[str, Any] = {"env": env, "label": label, "of": of, "seeds": len(members)}
+            row["env_steps"] = [_steps(run) for run in members]
             for name in Worth._fields:
                 row[name] = _measure(name, worth, first)
             found.append(row)
@@ -75,6 +79,10 @@ def worth_of(run: Path, *, evaluated: bool) -> Worth:
     return Worth(height, float(last.mean()))
 
 
+def _steps(run: Path) -> int:
+    return int(read_curve(run / "episodes.csv")[0][-1])
+
+
 def _evaluations(run: Path) -> tuple[Curve, Curve] | None:
     try:
         found = evaluations(run, "mean")
@@ -93,8 +101,7 @@ def _measure(name: str, worth: list[Worth], first: list[Worth] | None) -> dict[s
     if first is not None:
         theirs = [float(getattr(each, name)) for each in first]
         told |= dict(zip(_OF_DIFFERENCE, compare(ours, theirs), strict=True))
-        told["ratio"] = told["ratio"] if math.isfinite(told["ratio"] or 0.0) else None
-    return told
+    return {name: v if v is not None and math.isfinite(v) else None for name, v in told.items()}
 
 
 _OF_DIFFERENCE = (
@@ -111,7 +118,9 @@ def page(found: Iterable[dict[str, Any]]) -> str:
             env = row["env"]
             lines += ([""] if lines else []) + [f"{env}, by {row['of']}"]
         seeds = "1 seed" if row["seeds"] == 1 else f"{row['seeds']} seeds"
-        lines.append(f"  {row['label']} ({seeds})")
+        low, high = min(row["env_steps"]), max(row["env_steps"])
+        steps = f"{low:,}" if low == high else f"{low:,} to {high:,}"
+        lines.append(f"  {row['label']} ({seeds}, {steps} steps)")
         for name, words in (("area", "mean over the run"), ("final", "at its end")):
             lines.append(f"    {words:<18} {_of(row[name])}")
         if row["seeds"] < _FEW:
@@ -119,9 +128,13 @@ def page(found: Iterable[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _of(told: dict[str, float]) -> str:
+def _of(told: dict[str, Any]) -> str:
+    if told["iqm"] is None:
+        return "no finite number"
     line = f"{written(told['iqm'])} [{written(told['low'])}, {written(told['high'])}]"
     if "difference" not in told:
+        return line
+    if told["difference"] is None:
         return line
     difference, low, high = (
         f"{told[name]:+.4g}" for name in ("difference", "difference_low", "difference_high")

@@ -7,6 +7,7 @@ import urllib.request
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from functools import partial
+from http.client import HTTPException
 from urllib.parse import urlsplit, urlunsplit
 
 import typer
@@ -52,12 +53,12 @@ def address(target: str) -> str:
         UsageError: It has no host or port, or another scheme than HTTP.
     """
     whole = target if "://" in target else f"http://{target}"
-    parts = urlsplit(whole)
     try:
+        parts = urlsplit(whole)
         is_usable = parts.scheme in _SCHEMES and parts.hostname and (parts.port or "://" in target)
-    except ValueError:  # the port is no number
+    except ValueError:  # the port is no number, or a bracket is missing
         is_usable = False
-    if not is_usable:
+    if not is_usable or any(letter.isspace() for letter in target):
         raise UsageError(
             f"a2s dashboard: found {target!r}, expected HOST:PORT of a learner's metrics"
         )
@@ -70,7 +71,7 @@ def scrape(history: History, url: str) -> None:
         with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as reply:
             text = reply.read().decode()
         history.take(time.time(), text_string_to_metric_families(text))
-    except (OSError, ValueError):  # ValueError: something else answers there
+    except (OSError, HTTPException, ValueError):  # the last two: something else answers there
         history.is_up = False
 
 
@@ -79,9 +80,14 @@ def recall(history: History, url: str) -> None:
     data = url.removesuffix("metrics") + "data"
     try:
         with urllib.request.urlopen(data, timeout=_TIMEOUT_S) as reply:
-            (run,) = json.load(reply)["runs"]
-        for i, now_s in enumerate(run["t"]):
-            values = {name: series[i] for name, series in run["series"].items()}
-            history.add(now_s, {name: v for name, v in values.items() if v is not None})
-    except (OSError, ValueError, KeyError, TypeError):  # none: it begins now
-        return
+            told = json.load(reply)
+        (run,), ahead_s = told["runs"], told["now"] - time.time()  # its clock is another
+        names = list(run["series"])
+        past = []
+        for now_s, *values in zip(run["t"], *run["series"].values(), strict=True):
+            found = zip(names, values, strict=True)
+            past.append((now_s - ahead_s, {n: v for n, v in found if v is not None}))
+    except (OSError, HTTPException, ValueError, KeyError, TypeError, AttributeError):
+        return  # it has none: the history begins now
+    for then_s, samples in past:
+        history.add(then_s, samples)

@@ -93,6 +93,9 @@ class Place:
 
     def write_endpoint(self, endpoint: str) -> None:
         """Write down where the learner listens, for ``a2s status``."""
+        kind, _, place = endpoint.partition("/")
+        if kind == "unixsock-stream":
+            endpoint = f"{kind}/{Path(place).absolute()}"
         run_directory.write_atomically(self.path / run_directory.ENDPOINT, endpoint.encode())
 
     def run(self, learner: Learner, stop: Stop) -> dict[str, Any]:

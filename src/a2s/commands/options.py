@@ -226,6 +226,10 @@ Listen = Annotated[str | None, option(
 Connect = Annotated[str, option(
     _PLACE, "--connect", metavar="ENDPOINT", help="Endpoint of the learner.",
 )]
+MaybeConnect = Annotated[str | None, option(
+    _PLACE, "--connect", metavar="ENDPOINT", show_default="tcp/127.0.0.1:7447",
+    help="Endpoint of the learner.",
+)]
 ReplayFrom = Annotated[str | None, option(
     _REPLAY, "--replay-from", metavar="RUN",
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",

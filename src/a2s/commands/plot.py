@@ -48,7 +48,7 @@ def read_curve(
     try:
         with opened(episodes, "rt", newline="") as file:
             rows = [(float(r[axis]), float(r[what])) for r in csv.DictReader(file) if r[what]]
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise UsageError(f"{episodes}: cannot be read as the episodes of a run: {error}") from None
     if not rows:
         raise UsageError(f"{episodes}: no episode has ended yet")
@@ -163,6 +163,8 @@ def draw(panels: Panels, output: Path, axis: Axis = "steps") -> None:
         place.set_ylabel(f"{title.partition(': ')[2] or 'training return'} of an episode")
         place.grid(alpha=0.3)
         place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
+    if not output.suffix:
+        output = output.with_suffix(".png")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(output, dpi=120)

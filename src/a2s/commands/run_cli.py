@@ -108,6 +108,12 @@ def _configure(
 
     settings, resume = context.params["settings"], context.params["resume"]
     configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
+    if given["init_from"]:
+        from a2s.learner.initial import configuration_of
+
+        if resume:
+            raise UsageError("--init-from: found with --resume, expected one: a run begins once")
+        configuration_of(Path(given["init_from"]), configuration.run.variant)
     if configuration.run.tensorboard and importlib.util.find_spec("tensorboardX") is None:
         raise UsageError("--tensorboard needs tensorboardX; pip install 'a2s[tensorboard]'")
     if context.params["print_config"]:

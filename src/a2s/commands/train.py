@@ -30,6 +30,7 @@ _POLL_S = 0.05
 _STOP_S = 30.0
 _NICENESS = 5  # of actors: where there are more threads than cores, the learner's come first
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+ACTORS_LOG, EVALUATOR_LOG = "actors.log", "evaluator.log"
 
 PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.cli")
 Process = subprocess.Popen[bytes]
@@ -68,8 +69,8 @@ def train(
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
-        helpers = [actor, [*actor, "--n", "1", "--evaluate"]] if run.evaluate_every else [actor]
-        code = _run(learner, helpers, path, out, stop)
+        evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
+        code = _run(learner, actor, evaluator, path, out, stop)
     if code or not (path / "summary.json").exists():
         return code or EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
@@ -91,31 +92,35 @@ def train(
 
 def _run(
     learner_options: list[str],
-    helpers: list[list[str]],
+    actor_options: list[str],
+    evaluator_options: list[str],
     path: Path,
     out: TextIO,
     stop: Stop,
 ) -> int:
-    """Start all, wait for the learner, end the actors; one that fails ends the others.
+    """Start all, wait for the learner, end the others. Learner and actors end each other.
 
-    ``helpers`` are the options of the actors, and of an evaluator.
+    An evaluator that fails is missed and no more; without options there is none.
 
     Returns:
         The exit code of a learner that could not begin, and has said why; else 0.
     """
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
-    log, before = path / "actors.log", _starts(path)
+    log, before = path / ACTORS_LOG, _starts(path)
     with ExitStack() as stack:
-        learner = stack.enter_context(_started(learner_options, out))
+        learner = stack.enter_context(started(learner_options, out))
         actor_log = stack.enter_context(log.open("a"))
-        actors = [
-            stack.enter_context(_started(options, actor_log, niceness=_NICENESS))
-            for options in helpers
-        ]
-        _wait(learner, actors, log, stop)
+        actors = stack.enter_context(started(actor_options, actor_log, niceness=_NICENESS))
+        evaluator: Process | None = None
+        if evaluator_options:
+            other_log = stack.enter_context((path / EVALUATOR_LOG).open("a"))
+            evaluator = stack.enter_context(
+                started(evaluator_options, other_log, niceness=_NICENESS)
+            )
+        _wait(learner, actors, evaluator, path, stop)
     if not (path / run_directory.CONFIG).exists():
-        _remove_traces(path, log)
+        _remove_traces(path)
     # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
     if learner.returncode in (0, EXIT_INTERRUPTED) or is_ended_by_us:
@@ -134,26 +139,39 @@ def _starts(path: Path) -> bytes:
     return count.read_bytes() if count.exists() else b""
 
 
-def _remove_traces(path: Path, log: Path) -> None:
+def _remove_traces(path: Path) -> None:
     """Remove a directory that would be mistaken for a run."""
-    log.unlink()
-    (path / "lock").unlink(missing_ok=True)
+    for name in (ACTORS_LOG, EVALUATOR_LOG, "lock", "segments.log"):
+        (path / name).unlink(missing_ok=True)
     if not any(path.iterdir()):
         path.rmdir()
 
 
-def _wait(learner: Process, actors: list[Process], log: Path, stop: Stop) -> None:
+def _wait(
+    learner: Process, actors: Process, evaluator: Process | None, path: Path, stop: Stop
+) -> None:
     while learner.poll() is None:
         if stop.wait(_POLL_S):
             return
-        if any(process.poll() is not None for process in actors):
-            lines = log.read_text(errors="replace").strip().splitlines()
-            words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "no last words")
-            raise A2SError(f"{words.removeprefix('a2s: ')}; the actors ended, see {log}")
+        if actors.poll() is not None:
+            log = path / ACTORS_LOG
+            raise A2SError(f"{_last_words(log)}; the actors ended, see {log}")
+        if evaluator is not None and evaluator.poll() is not None:
+            evaluator, log = None, path / EVALUATOR_LOG
+            typer.echo(
+                f"{_last_words(log)}; the evaluator ended, see {log}; training goes on without it",
+                err=True,
+            )
+
+
+def _last_words(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines()
+    words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "no last words")
+    return words.removeprefix("a2s: ")
 
 
 @contextmanager
-def _started(options: list[str], out: IO[str], *, niceness: int = 0) -> Iterator[Process]:
+def started(options: list[str], out: IO[str], *, niceness: int = 0) -> Iterator[Process]:
     """Run a command as long as the block lasts, in a process group of its own.
 
     Ctrl-C reaches only this process, which ends the command cleanly.

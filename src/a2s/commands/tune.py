@@ -1,21 +1,24 @@
 """``a2s tune``: a search for hyperparameters with Optuna, each trial an `a2s train` of its own."""
 
 import contextlib
-import shutil
-import subprocess
+import json
+import math
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import optuna
 import typer
 from optuna.trial import Trial, TrialState
+from sqlalchemy import URL
+from sqlalchemy.exc import SQLAlchemyError
 
-from a2s.commands.train import PROGRAM
+from a2s.commands.train import started
 from a2s.learner.numerals import written
-from a2s.learner.run.config import assemble, parse_settings
-from a2s.learner.run.directory import CONFIG, evaluations
+from a2s.learner.run.config import assemble, parse_settings, read
+from a2s.learner.run.directory import CONFIG, evaluations, write_atomically
 from a2s.protocol.errors import A2SError, UsageError
 
 _LAST = 5  # evaluations whose mean a trial is worth
@@ -23,8 +26,7 @@ _EVALUATIONS = 20  # of a trial
 _FREE_TRIALS = 5  # nothing is pruned before so many are complete
 _FREE_SHARE = 0.3  # of a trial, nor before that
 _POLL_S = 0.5
-_STOP_S = 30.0
-_LOG, _RANGE = ":log", ".."
+_LOG, _RANGE, _SEARCH = ":log", "..", "search"
 _ENDED = (TrialState.COMPLETE, TrialState.PRUNED)
 ON_POLICY = (
     "learning_rate=1e-4..1e-3:log", "critic_learning_rate=3e-4..3e-3:log", "gamma=0.97..0.998",
@@ -56,9 +58,9 @@ class Range(NamedTuple):
             return str(trial.suggest_int(self.name, int(self.low), int(self.high), log=self.log))
         return f"{trial.suggest_float(self.name, self.low, self.high, log=self.log):.6g}"
 
-    def first(self) -> str:
-        """One value that is in it."""
-        return self.choices[0] if self.choices else f"{self.low:.6g}"
+    def ends(self) -> tuple[str, ...]:
+        """Values that have to be possible, so that all of it is."""
+        return self.choices or (f"{self.low:.6g}", f"{self.high:.6g}")
 
 
 def parse_range(text: str) -> Range:
@@ -74,14 +76,17 @@ def parse_range(text: str) -> Range:
         raise _unreadable(text)
     body = rest.removesuffix(_LOG)
     if _RANGE not in body:
-        return Range(name, tuple(rest.split(",")))
+        choices = tuple(rest.split(","))
+        if not all(choices):
+            raise _unreadable(text)
+        return Range(name, choices)
     ends = body.split(_RANGE)
     try:
         low, high = map(float, ends)
     except ValueError:
         raise _unreadable(text) from None
     log = rest.endswith(_LOG)
-    if not low < high or (log and low <= 0.0):
+    if not -math.inf < low < high < math.inf or (log and low <= 0.0):
         raise _unreadable(text)
     return Range(name, low=low, high=high, log=log, whole=all(map(str.isdigit, ends)))
 
@@ -118,15 +123,29 @@ class Search(NamedTuple):
         """The run directory of a trial."""
         return self.path / f"trial-{number:04d}"
 
-    def total_steps(self) -> int:
-        """Steps of a trial; the first values of the space are tried on the configuration.
+    def checked(self) -> tuple["Search", int]:
+        """This, with whole numbers where a hyperparameter is one; and the steps of a trial.
 
         Raises:
-            UsageError: Something is impossible.
+            UsageError: A name occurs twice, or a value is impossible.
         """
         given = {name: value for name, value in self.options.items() if value is not None}
-        first = {each.name: each.first() for each in self.space}
-        return assemble(given, {**parse_settings([*self.settings]), **first}).run.total_steps
+        fixed = parse_settings([*self.settings])
+        names = [*fixed, *(each.name for each in self.space)]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise UsageError(f"--space: found {min(twice)} twice, expected once; --set counts")
+        made = assemble(given, fixed)
+        for each in self.space:
+            for end in each.ends():
+                made = assemble(given, {**fixed, each.name: end})
+        kinds = {each.name: each.type for each in fields(made.hyper)}
+        space = [r._replace(whole=kinds[r.name] is int and not r.choices) for r in self.space]
+        return self._replace(space=space), made.run.total_steps
+
+    def identity(self) -> str:
+        """What makes two searches the same."""
+        return json.dumps([list(self.words), list(self.settings), [list(r) for r in self.space]])
 
 
 def tune(
@@ -138,24 +157,14 @@ def tune(
     worth its last evaluations, and ended early where it is behind the median of the others.
 
     Returns:
-        The JSON object of ``a2s tune --json``.
+        The JSON object of ``a2s tune --json``; empty if it was stopped before any trial's end.
 
     Raises:
-        UsageError: A hyperparameter or an option is impossible.
+        UsageError: A hyperparameter or an option is impossible, or there is another search.
         A2SError: A trial failed, or none came to its end.
     """
-    total_steps = search.total_steps()
-    search.path.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    warm_up = round(_FREE_SHARE * total_steps)
-    study = optuna.create_study(
-        storage=f"sqlite:///{search.path / 'study.db'}",
-        study_name="a2s",
-        direction="maximize",
-        load_if_exists=True,
-        sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=parallel > 1),
-        pruner=optuna.pruners.MedianPruner(_FREE_TRIALS, n_warmup_steps=warm_up),
-    )
+    search, total_steps = search.checked()
+    study = _study(search, round(_FREE_SHARE * total_steps), seed, parallel)
     for trial in study.get_trials(states=[TrialState.RUNNING]):  # a kill left them so
         study.tell(trial.number, state=TrialState.FAIL)
     every = max(1, total_steps // _EVALUATIONS)
@@ -169,10 +178,14 @@ def tune(
                 callbacks=[_say],
             )
     complete = study.get_trials(states=[TrialState.COMPLETE])
+    if not complete and stop.is_set():
+        return {}
     if not complete:
         raise A2SError(f"a2s tune: no trial came to its end; go on with the same -o {search.path}")
     best = study.best_trial
-    shutil.copyfile(search.place(best.number) / CONFIG, search.path / "best.toml")
+    options, hyper = read(search.place(best.number) / CONFIG)
+    config = assemble({**options, "evaluate_every": 0}, hyper).to_toml()
+    write_atomically(search.path / "best.toml", config.encode())
     ended = len(study.get_trials(states=_ENDED))
     return {
         "path": str(search.path),
@@ -183,6 +196,38 @@ def tune(
         "best": best.params,
         "config": str(search.path / "best.toml"),
     }
+
+
+def _study(search: Search, warm_up: int, seed: int, parallel: int) -> optuna.Study:
+    """Open the study of a search, or begin one.
+
+    Raises:
+        UsageError: The study there is of another search, or cannot be used.
+    """
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    place = search.path / "study.db"
+    try:
+        search.path.mkdir(parents=True, exist_ok=True)
+        study = optuna.create_study(
+            storage=URL.create("sqlite", database=str(place)).render_as_string(),
+            study_name="a2s",
+            direction="maximize",
+            load_if_exists=True,
+            sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=parallel > 1),
+            pruner=optuna.pruners.MedianPruner(_FREE_TRIALS, n_warmup_steps=warm_up),
+        )
+        known = study.user_attrs.get(_SEARCH)
+    except (OSError, SQLAlchemyError) as error:
+        words = str(error).splitlines()[0]
+        raise UsageError(f"--output: {place} cannot be used: {words}; name another") from None
+    is_new = known is None and not any(search.path.glob("trial-*"))
+    if not is_new and known != search.identity():
+        raise UsageError(
+            f"--output: {search.path} has another search: found {known}, expected "
+            f"{search.identity()}; name another"
+        )
+    study.set_user_attr(_SEARCH, search.identity())
+    return study
 
 
 class _Stopped(Exception):  # noqa: N818  # no error: the user stops the search
@@ -200,33 +245,22 @@ def _try(search: Search, trial: Trial, every: int, stop: threading.Event) -> flo
     for setting in (*search.settings, *chosen):
         words += ["--set", setting]
     log, reported = search.path / f"{run.name}.log", 0
-    with log.open("w") as out:
-        train = subprocess.Popen([*PROGRAM, *words], stdout=out, stderr=subprocess.STDOUT)
-        try:
-            while train.poll() is None:
-                for row in evaluations(run, "mean")[reported:]:
-                    reported += 1
-                    trial.report(row.mean, row.env_steps)
-                    if trial.should_prune():
-                        raise optuna.TrialPruned
-                if stop.wait(_POLL_S):
-                    raise _Stopped
-        finally:
-            _end(train)
+    with log.open("w") as out, started(words, out) as train:
+        while train.poll() is None:
+            for row in evaluations(run, "mean")[reported:]:
+                reported += 1
+                trial.report(row.mean, row.env_steps)
+                if trial.should_prune():
+                    raise optuna.TrialPruned
+            if stop.wait(_POLL_S):
+                raise _Stopped
     if train.returncode:
         last = log.read_text().strip().splitlines()[-1:]
         raise A2SError(f"trial {trial.number}: {''.join(last).removeprefix('a2s: ')}")
     means = [row.mean for row in evaluations(run, "mean")][-_LAST:]
+    if not means:
+        raise A2SError(f"trial {trial.number}: it was not evaluated, see {run}/evaluator.log")
     return sum(means) / len(means)
-
-
-def _end(train: subprocess.Popen[bytes]) -> None:
-    train.terminate()
-    try:
-        train.wait(_STOP_S)
-    except subprocess.TimeoutExpired:
-        train.kill()
-        train.wait()
 
 
 def _say(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:

@@ -31,6 +31,7 @@ def _result(
 
 
 def _ask(evaluations: Evaluations, evaluator: str) -> int | None:
+    evaluations.here(evaluator)
     task = evaluations.ask(EvaluationRequest(evaluator=evaluator))
     return None if task is None else task.number
 
@@ -62,6 +63,15 @@ def test_who_leaves_gives_its_task_to_the_next() -> None:
     evaluations.answer(_result("a", 1))  # came too late: it is another's by now
     assert [_ask(evaluations, "b"), evaluations.unfinished] == [1, 2]
     assert _numbers(evaluations) == []
+
+
+def test_who_cannot_be_seen_gets_no_work() -> None:
+    """Nobody would see it leave with its task."""
+    evaluations = Evaluations()
+    evaluations.want(_task(1))
+    assert evaluations.ask(EvaluationRequest(evaluator="ghost")) is None
+    assert (evaluations.unfinished, evaluations.waiting) == (0, 1)
+    assert _ask(evaluations, "a") == 1
 
 
 def test_nothing_is_unfinished_when_there_is_no_evaluator() -> None:

@@ -39,6 +39,7 @@ class _Run:
 
     def ask(self) -> EvaluationTask | None:
         """Take work as an evaluator."""
+        self.evaluations.here("e")
         return self.evaluations.ask(EvaluationRequest(evaluator="e"))
 
     def play(self, *returns: float) -> EvaluationTask:
