@@ -48,21 +48,18 @@ class Twice(gymnasium.Wrapper):
 def _export(tmp_path: Path, graph: bytes) -> Path:
     (tmp_path / "policy.onnx").write_bytes(graph)
     files = export_run(tmp_path / "policy.onnx", tmp_path / "out", "latest")
-    assert sorted(file.name for file in files) == [
-        "README.md",
-        "act.mjs",
-        "policy.onnx",
-        "rollout.py",
-    ]
+    named = {file.name for file in files}
+    assert named >= {"README.md", "act.mjs", "policy.onnx", "rollout.py"}
+    assert named == {file.name for file in (tmp_path / "out").iterdir()}
     return tmp_path / "out"
 
 
 def _rollout(folder: Path) -> str:
     """What the program prints, in a Python that has no a2s."""
-    program = "import sys; sys.modules['a2s'] = None; exec(open('rollout.py').read())"
+    (folder / "no_a2s.py").write_text("import sys; sys.modules['a2s'] = None; import rollout")
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(PLUGIN)},
+        [sys.executable, "out/no_a2s.py"], cwd=folder.parent, capture_output=True, text=True,
+        env={"PYTHONPATH": str(PLUGIN)}, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -86,7 +83,12 @@ def test_the_environment_is_made_as_the_run_made_it(tmp_path: Path, make_graph: 
     )  # fmt: skip
     told = {"env": config.env_id, "environment": config.to_json(), "obs_offset": "[5.0, 0, 5.0, 0]"}
     graph = make_graph(obs_size=4, low=(-1.0,) * 2, high=(1.0,) * 2, metadata=told)
-    assert _rollout(_export(tmp_path, graph)) == "return 162.0"
+    folder = _export(tmp_path, graph)
+    (tmp_path / "own.py").rename(folder / "own.py")  # it has its own copy
+    assert _rollout(folder) == "return 162.0"
+    assert "# Own\n" in (folder / "README.md").read_text()
+    assert str(tmp_path) not in (folder / "README.md").read_text()
+    assert "const offset = [5.0, 0, 5.0, 0];" in (folder / "act.mjs").read_text()
 
 
 def test_the_card_says_what_is_known_of_the_run(tmp_path: Path, make_graph: MakeGraph) -> None:
@@ -105,5 +107,8 @@ def test_the_card_says_what_is_known_of_the_run(tmp_path: Path, make_graph: Make
     (metric,) = front["model-index"][0]["results"][0]["metrics"]
     assert metric == {"type": "mean_reward", "value": "3000.50 +/- 12.00", "name": "mean_reward"}
     assert "Return of 10 fresh episodes, mean action: 3000.5 ± 12.0." in card
+    (run / "summary.json").write_text('{"evaluation": {"mean": 1}}')
+    export_run(run, tmp_path / "other", "latest")
+    assert "mean_reward" not in (tmp_path / "other" / "README.md").read_text()
     with pytest.raises(UsageError, match="out exists; name a new folder"):
         export_run(run, tmp_path / "out", "latest")

@@ -33,8 +33,9 @@ def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
 
     Returns:
         The JSON object of ``a2s compare --json``: for each group ``env``, ``label``, ``of``
-        (``evaluations`` or ``training``), ``seeds``, ``env_steps`` of each, and under ``area`` and ``final`` the
-        interquartile mean and its 95 % interval; and of what differs from the first group.
+        (``evaluations`` or ``training``), ``seeds``, ``env_steps`` of each, and under ``area`` and
+        ``final`` the interquartile mean and its 95 % interval; and of what differs from the first
+        group. What is not finite is ``None``.
 
     Raises:
         UsageError: One is not a run directory, or has no return yet.

@@ -1,9 +1,9 @@
 """``a2s export``: a folder with the policy of a run that works without a2s."""
 
 import json
-import re
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from a2s.learner.numerals import written
 from a2s.protocol.env_config import EnvConfig, wrapper_of
 from a2s.protocol.errors import UsageError
 
-_REGISTERED = re.compile(r"-v\d+$")
+_OF_RUN = {"variant", "algo", "preset", "seed", "env_steps", "wall_s"}
+_OF_EVALUATION = {"mean", "std", "episodes", "mode"}
 POLICY, PYTHON, JAVASCRIPT, CARD = "policy.onnx", "rollout.py", "act.mjs", "README.md"
 
 
@@ -32,26 +33,39 @@ def export_run(run: Path, output: Path, weights: str) -> list[Path]:
     config = trained_on(str(path), metadata)
     if config is None:
         raise UsageError(f"{path}: its metadata name no environment")
+    texts = {
+        PYTHON: _python(config, metadata),
+        JAVASCRIPT: _javascript(metadata),
+        CARD: _card(config, metadata, _summary(run)),
+    }
+    own = _file_of(config)
     try:
         output.mkdir(parents=True)
         shutil.copyfile(path, output / POLICY)
-        (output / PYTHON).write_text(_python(config, metadata))
-        (output / JAVASCRIPT).write_text(_javascript(metadata))
-        (output / CARD).write_text(_card(config, metadata, _summary(run)))
+        for name, text in texts.items():
+            (output / name).write_text(text)
+        if own is not None:
+            shutil.copyfile(own, output / own.name)
     except FileExistsError:
         raise UsageError(f"--output: {output} exists; name a new folder") from None
     except OSError as error:
         raise UsageError(f"--output: {output}: {error.strerror}") from None
-    return [output / name for name in (POLICY, PYTHON, JAVASCRIPT, CARD)]
+    return [output / name for name in (POLICY, *texts, *([own.name] if own else []))]
+
+
+def _file_of(config: EnvConfig) -> Path | None:
+    """The user's file that the environment is a class of, if it is in one."""
+    place = config.env_id.rpartition(":")[0]
+    return Path(place) if place.endswith(".py") else None
 
 
 def _summary(run: Path) -> dict[str, Any]:
     """The summary of a run that has ended; empty otherwise."""
     try:
         found = json.loads((run / "summary.json").read_text())
+        return found if isinstance(found, dict) and found.keys() >= _OF_RUN else {}
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _python(config: EnvConfig, metadata: Mapping[str, str]) -> str:
@@ -83,7 +97,8 @@ def _python(config: EnvConfig, metadata: Mapping[str, str]) -> str:
             "",
             *imports,
             "",
-            'policy = onnxruntime.InferenceSession("policy.onnx")',
+            "place = os.path.dirname(os.path.abspath(__file__))",
+            'policy = onnxruntime.InferenceSession(os.path.join(place, "policy.onnx"))',
             "noise = {i.name: np.zeros([1, *i.shape[1:]], np.float32)"
             " for i in policy.get_inputs()[1:]}",
             *making,
@@ -102,26 +117,32 @@ def _python(config: EnvConfig, metadata: Mapping[str, str]) -> str:
 
 def _making(config: EnvConfig) -> tuple[list[str], list[str]]:
     """Imports, and the lines that make the environment."""
-    imports = ["import gymnasium as gym", "import numpy as np", "import onnxruntime"]
+    imports = [
+        "import os",
+        "",
+        "import gymnasium as gym",
+        "import numpy as np",
+        "import onnxruntime",
+    ]
     place, _, name = config.env_id.rpartition(":")
-    arguments = [f"{key}={value!r}" for key, value in json.loads(config.kwargs).items()]
-    if place.endswith(".py"):
-        imports += ["import sys", f"sys.path.insert(0, {str(Path(place).parent)!r})"]
-        place = Path(place).stem
-    if place and not _REGISTERED.search(name):
-        imports.append(f"from {place} import {name}")
-        lines = [f"env = {name}({', '.join(arguments)})"]
-        if config.max_episode_steps:
-            lines.append(f"env = gym.wrappers.TimeLimit(env, {config.max_episode_steps})")
-    else:
-        imports += [f"import {place}  # registers the environment"] if place else []
-        if config.max_episode_steps:
-            arguments.append(f"max_episode_steps={config.max_episode_steps}")
-        lines = [f"env = gym.make({', '.join([repr(name), *arguments])})"]
+    place = Path(place).stem if place.endswith(".py") else place
+    given = [f"{key}={value!r}" for key, value in json.loads(config.kwargs).items()]
+    limit = [f"max_episode_steps={config.max_episode_steps}"] if config.max_episode_steps else []
+    lines = [f"env = gym.make({', '.join([repr(name), *given, *limit])})"]
+    if place:
+        imports.append(f"import {place}")
+        lines = [
+            f"if {name!r} in gym.registry:",
+            f"    {lines[0]}",
+            "else:",
+            f"    env = {place}.{name.replace('-', '_')}({', '.join(given)})",
+        ]
+        if limit:
+            lines.append(f"    env = gym.wrappers.TimeLimit(env, {config.max_episode_steps})")
     for setting in config.wrappers:
-        module, wrapper, given = wrapper_of(setting)
+        module, wrapper, arguments = wrapper_of(setting)
         imports.append(f"from {module} import {wrapper}")
-        lines.append(f"env = {wrapper}(env, **{given!r})")
+        lines.append(f"env = {wrapper}(env, **{arguments!r})")
     return imports, lines
 
 
@@ -134,7 +155,9 @@ def _javascript(metadata: Mapping[str, str]) -> str:
             'import * as ort from "onnxruntime-web";',
             "",
             'const policy = await ort.InferenceSession.create(await readFile("policy.onnx"));',
-            f"const obs = new Float32Array({metadata['obs_size']}); // as the environment gives it",
+            f"const seen = new Float64Array({metadata['obs_size']}); // {_row(metadata)}",
+            f"const offset = {metadata.get('obs_offset', '[]')}; // subtracted first",
+            "const obs = Float32Array.from(seen, (x, i) => x - (offset[i] ?? 0));",
             f"const [K, A] = [{metadata['K']}, {metadata['action_size']}];",
             "const noise = { normal: [1, K, A], gumbel: [1, K] }; // zeros: the mean action",
             'const feed = { obs: new ort.Tensor("float32", obs, [1, obs.length]) };',
@@ -149,15 +172,24 @@ def _javascript(metadata: Mapping[str, str]) -> str:
     )
 
 
+def _row(metadata: Mapping[str, str]) -> str:
+    """What the numbers of an observation are."""
+    if "obs_layout" not in metadata:
+        return "as the environment gives it"
+    return ", ".join(f"{name} ({size})" for name, size in json.loads(metadata["obs_layout"]))
+
+
 def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, Any]) -> str:
     """A model card as model hubs read it."""
     found = summary.get("evaluation") or {}
+    found = found if found.keys() >= _OF_EVALUATION else {}
+    name = config.env_id.rpartition(":")[2]
     score = f"{found['mean']:.2f} +/- {found['std']:.2f}" if found else ""
     low, high = metadata["action_low"], metadata["action_high"]
     lines = [
         "---",
         "library_name: a2s",
-        f"tags: [{config.env_id.rpartition(':')[2]}, reinforcement-learning, a2s, onnx]",
+        f"tags: [{name}, reinforcement-learning, a2s, onnx]",
     ]
     if found:
         lines += [
@@ -165,18 +197,18 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
             f"- name: {summary['algo']}",
             "  results:",
             "  - task: {type: reinforcement-learning, name: reinforcement-learning}",
-            f"    dataset: {{name: {config.env_id}, type: {config.env_id}}}",
+            f"    dataset: {{name: {name}, type: {name}}}",
             f"    metrics: [{{type: mean_reward, value: {score}, name: mean_reward}}]",
         ]
     lines += [
         "---",
         "",
-        f"# {config.env_id}",
+        f"# {name}",
         "",
         f"A policy for continuous control by the advantage actor-suggester, a2s {__version__}.",
         "",
-        f"- Observation: {metadata['obs_size']} numbers; action: {metadata['action_size']}, from "
-        f"{low} to {high}.",
+        f"- Observation: {metadata['obs_size']} numbers, {_row(metadata)}; action: "
+        f"{metadata['action_size']}, from {low} to {high}.",
         f"- K = {metadata['K']} suggestions; version {metadata['weights_version']} of the weights.",
     ]
     if summary:
@@ -199,7 +231,7 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
         "npm install onnxruntime-web && node act.mjs",
         "```",
         "",
-        f"The environment as it was made: `{config.to_json()}`",
+        f"The environment as it was made: `{replace(config, env_id=name).to_json()}`",
         "",
     ]
     return "\n".join(lines)
