@@ -19,11 +19,13 @@ class History:
     """Samples of one run by name, at the times when they were taken; threads may share it.
 
     Attributes:
+        place: Where the run is, for one that has not told its name.
         about: Labels of ``a2s_run_info``: ``run``, ``env_id``, ``algo`` and ``seed``.
         is_up: Whether the latest samples could be taken.
     """
 
-    def __init__(self, capacity: int = _CAPACITY) -> None:
+    def __init__(self, place: str = "", capacity: int = _CAPACITY) -> None:
+        self.place = place
         self.about: dict[str, str] = {}
         self.is_up = False
         self._lock = threading.Lock()

@@ -87,7 +87,12 @@ class Server:
         known = [_number(text) for text in since.split(",")]
         known += [0.0] * len(self._histories)
         runs = [
-            {"about": history.about, "up": history.is_up, **history.since(since_s)}
+            {
+                "about": history.about,
+                "place": history.place,
+                "up": history.is_up,
+                **history.since(since_s),
+            }
             for history, since_s in zip(self._histories, known, strict=False)
         ]
         return json.dumps({"now": time.time(), "runs": runs}).encode()

@@ -23,6 +23,7 @@ from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.page.history import History
 from a2s.learner.page.server import Sampler, Server
 from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.status import Status
 from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.messages import Verdict
 
@@ -232,6 +233,13 @@ class LearnerMetrics:
         """Show an evaluation in one way of acting."""
         self.evaluated[mode].set(sum(returns) / len(returns))
         self.eval_episodes.inc(len(returns))
+
+    def go_on(self, status: Status) -> None:
+        """Count from where a run was; its steps are counted by the ledger."""
+        self.updates.inc(status.rows)
+        self.episodes.inc(status.episodes.count)
+        self.recoveries.inc(status.num_recoveries)
+        self.show_episodes(status.episodes)
 
     def show_actors(self, members: Sequence[Member]) -> None:
         """Show the actors that are present, and that those of before are gone."""

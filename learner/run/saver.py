@@ -92,6 +92,7 @@ class Saver:
             status.episodes.add(episode_return, length, metrics)
             status.worked_s = max(status.worked_s, wall_s)
         self._directory.keep_updates(status.rows)
+        self._metrics.go_on(status)
 
 
 def obs_offset(state: dict[str, Any]) -> Array | None:

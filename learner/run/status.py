@@ -158,4 +158,5 @@ class Status:
             "info_metrics": self.episodes.mean_metrics,
             "weights_sha256": hashlib.sha256(graph).hexdigest(),
             "finished": self.is_finished,
+            "stopped_at_return": self.is_good,
         }

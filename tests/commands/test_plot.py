@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.commands.plot import axis_of, identity, on_a_grid, plot, smooth
+from a2s.commands.plot import axis_of, from_the_first, identity, on_a_grid, plot, smooth
 from a2s.protocol.errors import UsageError
 
 
@@ -82,6 +82,16 @@ def test_evaluations_while_training_have_a_panel_beside_the_returns(tmp_path: Pa
     drawn = (tmp_path / "curves.svg").read_text()
     assert "<!-- Hopper-v5: evaluation return -->" in drawn
     assert "<!-- evaluation return of an episode -->" in drawn
+
+
+def test_nothing_is_drawn_before_the_first_evaluation() -> None:
+    """One at 300 of 1,000 steps, in a grid of 100 points."""
+    curves = [(np.array([300.0, 1000.0]), np.array([1.0, 2.0]))]
+    steps, values = from_the_first(curves, *on_a_grid(curves))
+    assert steps[0] == 295.0
+    assert values.shape == (1, len(steps)) == (1, 71)
+    alone = [(np.array([300.0]), np.array([1.0]))]
+    assert len(from_the_first(alone, *on_a_grid(alone))[0]) == 1
 
 
 def test_a_damaged_table_of_evaluations_leaves_a_run_out(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ let charts = [], drawn = "", axis = "time";
 
 const $ = (id) => document.getElementById(id);
 const last = (run, name) => run.series[name]?.at(-1) ?? null;
-const nameOf = (run) => run.about.run ?? "run";
+const nameOf = (run) => run.about.run ?? run.place ?? "run";
 const short = (x) => x === null || x === undefined ? "-"
   : Math.abs(x) >= 1000 ? Math.round(x).toLocaleString("en") : Number(x.toPrecision(3)).toString();
 
@@ -38,7 +38,8 @@ function rate(values, t) { // per second, over the last RATE_S seconds
   return values.map((value, i) => {
     while (from < i - 1 && t[i] - t[from] > RATE_S) from += 1;
     const before = values[from], seconds = t[i] - t[from];
-    return value === null || before === null || seconds <= 0 || value < before ? null : (value - before) / seconds;
+    if (value === null || !before || seconds <= 0 || value < before) return null; // 0: a restart
+    return (value - before) / seconds;
   });
 }
 
@@ -62,7 +63,7 @@ function merge(told) {
   told.runs.forEach((news, i) => {
     const run = runs[i] ??= { t: [], series: {}, about: {}, up: false };
     const before = run.t.length;
-    Object.assign(run, { about: news.about, up: news.up });
+    Object.assign(run, { about: news.about, up: news.up, place: news.place });
     run.t.push(...news.t);
     for (const name of new Set([...Object.keys(run.series), ...Object.keys(news.series)])) {
       const series = run.series[name] ??= Array(before).fill(null);
@@ -96,7 +97,8 @@ function showRuns() {
     const perS = rate(run.series[STEPS] ?? [], run.t).at(-1) ?? 0;
     const left = perS > 0 && target > steps ? clock((target - steps) / perS) : "-";
     const card = make("article");
-    card.append(make("h2", `${nameOf(run)}: ${run.about.algo ?? ""} on ${run.about.env_id ?? ""}, seed ${run.about.seed ?? ""}`));
+    const { algo, env_id: env, seed } = run.about;
+    card.append(make("h2", env ? `${nameOf(run)}: ${algo} on ${env}, seed ${seed}` : nameOf(run)));
     card.append(make("progress", "", { max: Math.max(target, 1), value: Math.min(steps, target), "aria-label": "Steps made" }));
     const list = make("dl");
     const shown = [
@@ -175,7 +177,9 @@ function showLists() {
   $("recoveries").replaceChildren(...(marks.length ? marks : [make("li", "none", { class: "none" })]));
   const down = runs.length > 0 && runs.every((run) => !run.up);
   $("state").className = down ? "bad" : "";
-  $("state").textContent = runs.length === 0 ? "no run" : down ? "no learner answers" : `${runs.length} run${runs.length > 1 ? "s" : ""}, live`;
+  const live = runs.filter((run) => run.up).length, plural = runs.length > 1 ? "s" : "";
+  const some = live === runs.length ? `${live} run${plural}, live` : `${live} of ${runs.length} runs live`;
+  $("state").textContent = runs.length === 0 ? "no run" : down ? "no learner answers" : some;
 }
 
 function table(run, lines) { // x, and one column a line; over steps a point for each step count
@@ -187,6 +191,12 @@ function table(run, lines) { // x, and one column a line; over steps a point for
     const values = of ? of(raw, run.t) : raw;
     return kept.map((i) => values[i] ?? null);
   })];
+}
+
+function infoPanels() { // is_success, and each --info-metric
+  const names = new Set(runs.flatMap((run) => Object.keys(run.series)));
+  const found = [...names].map((name) => /^a2s_learner_episode_info_mean\{metric="(.*)"\}$/.exec(name)).filter(Boolean);
+  return found.map(([, metric]) => [`${metric}, mean of episodes`, [[metric, `episode_info_mean{metric="${metric}"}`]]]);
 }
 
 function linesOf([title, lines]) {
@@ -214,7 +224,7 @@ function marked(u) { // a vertical line for every recovery
 }
 
 function showPanels() {
-  const shown = PANELS.map((panel) => [panel[0], linesOf(panel)])
+  const shown = [...PANELS, ...infoPanels()].map((panel) => [panel[0], linesOf(panel)])
     .map(([title, lines]) => [title, lines.filter(([, name]) => runs.some((run) => (run.series[L + name] ?? []).some((v) => v !== null)))])
     .filter(([, lines]) => lines.length > 0);
   const wanted = JSON.stringify([axis, runs.map(nameOf), shown.map(([title, lines]) => [title, lines.map(([label]) => label)])]);

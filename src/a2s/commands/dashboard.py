@@ -34,7 +34,7 @@ def show(targets: Sequence[str], host: str, port: int | None, stop: Stop) -> Non
     """
     addresses = [address(target) for target in targets or [f"127.0.0.1:{LEARNER_METRICS_PORT}"]]
     with ExitStack() as stack:
-        histories = [History() for _ in addresses]
+        histories = [History(urlsplit(url).netloc) for url in addresses]
         for history, url in zip(histories, addresses, strict=True):
             recall(history, url)
             stack.enter_context(closing(Sampler(partial(scrape, history, url))))

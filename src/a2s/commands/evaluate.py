@@ -80,9 +80,10 @@ def line(result: dict[str, Any]) -> str:
     """Give the result of `evaluate_run` in one line."""
     values = (result["mean"], result["std"], min(result["returns"]), max(result["returns"]))
     mean, std, low, high = map(written, values)
+    told = "".join(f", {name} {value:.3g}" for name, value in result["info_metrics"].items())
     return (
         f"{result['env']}: {mean} +- {std} over {result['episodes']} episodes "
-        f"({result['mode']}); from {low} to {high}"
+        f"({result['mode']}); from {low} to {high}{told}"
     )
 
 

@@ -153,6 +153,13 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
             f"{summary['recoveries']} recoveries",
             place.out,
         )
+        if summary["stopped_at_return"]:
+            best = summary["evaluation_best"]
+            typer.echo(
+                f"good        an evaluation of {best['mean']:.1f} at {best['env_steps']:,} steps "
+                f"was --stop-at-return {run.stop_at_return:g} or more",
+                place.out,
+            )
         if summary["updates"]:
             typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
     return place.end(summary, stop)

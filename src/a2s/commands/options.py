@@ -82,12 +82,12 @@ def _variable(name: str) -> str:
 # fmt: off
 
 Env = Annotated[str | None, option(
-    _FIRST, "--env", metavar="ENV", show_default="Hopper-v5",
+    _FIRST, "--env", metavar="ENV", show_default="the run's, or Hopper-v5",
     help="Gymnasium id, module:Id-v0, module:Class, or ./FILE.py:Id-v0.",
 )]
 TotalSteps = Annotated[int | None, whole_number(
     _FIRST, "--total-steps", low=1, show_default="1000000",
-    help="Environment steps at which the run ends, for example 1e6.",
+    help="Environment steps at which the run ends, with a whole batch; for example 1e6.",
 )]
 Seed = Annotated[int | None, whole_number(
     _FIRST, "--seed", low=0, high=2**63 - 1, show_default="0", help="Seed of everything.",
@@ -130,7 +130,7 @@ EvaluationEpisodes = Annotated[int | None, whole_number(
 )]
 StopAtReturn = Annotated[float | None, option(
     _RUN, "--stop-at-return", metavar="R", show_default="never",
-    help="End the run when an evaluation while training has this mean return.",
+    help="End the run once an evaluation while training has had this mean return.",
 )]
 Episodes = Annotated[int, whole_number(
     _RUN, "--episodes", low=1, help="Episodes to play.",
@@ -149,11 +149,11 @@ Wrapper = Annotated[list[str] | None, option(
     help="module:Class or module:Class={JSON} around it; may be repeated, innermost first.",
 )]
 ActionRepeat = Annotated[int | None, whole_number(
-    _ENVIRONMENT, "--action-repeat", low=1, high=1000, show_default="1",
+    _ENVIRONMENT, "--action-repeat", low=1, high=1000, show_default="the run's, or 1",
     help="Environment steps for each action; their rewards are added up.",
 )]
 FrameStack = Annotated[int | None, whole_number(
-    _ENVIRONMENT, "--frame-stack", low=1, high=1000, show_default="1",
+    _ENVIRONMENT, "--frame-stack", low=1, high=1000, show_default="the run's, or 1",
     help="Latest observations that the policy sees at once.",
 )]
 MaxEpisodeSteps = Annotated[int | None, whole_number(
@@ -161,7 +161,7 @@ MaxEpisodeSteps = Annotated[int | None, whole_number(
     help="Environment steps after which an episode is truncated.",
 )]
 EnvTimeout = Annotated[float | None, option(
-    _ENVIRONMENT, "--env-timeout", metavar="SECONDS", min=0.001, show_default="120",
+    _ENVIRONMENT, "--env-timeout", metavar="SECONDS", min=0.001, show_default="the run's, or 120",
     help="Seconds in which a call into it must return; else its process is replaced.",
 )]
 InfoMetric = Annotated[list[str] | None, option(

@@ -96,6 +96,15 @@ def on_a_grid(curves: list[tuple[Curve, Curve]]) -> tuple[Curve, Curve]:
     return centres, np.array(binned)
 
 
+def from_the_first(
+    curves: list[tuple[Curve, Curve]], steps: Curve, values: Curve
+) -> tuple[Curve, Curve]:
+    """Leave out what `on_a_grid` has before any curve begins: there is nothing to draw."""
+    half = (steps[1] - steps[0]) / 2
+    begun = steps + half >= min(points[0] for points, _ in curves)
+    return steps[begun], values[:, begun]
+
+
 def plot(runs: list[Path], output: Path, axis: Axis = "steps") -> list[str]:
     """Draw the runs: one panel per environment and metric, one colour for each way of learning.
 
@@ -151,10 +160,13 @@ def draw(panels: Panels, output: Path, axis: Axis = "steps") -> None:
     for place, (title, groups) in zip(axes[0], sorted(panels.items()), strict=True):
         for label, curves in sorted(groups.items()):
             colour = f"C{labels.index(label)}"  # of matplotlib's cycle
-            steps, returns = on_a_grid(curves)
+            steps, returns = from_the_first(curves, *on_a_grid(curves))
             place.plot(steps, returns.T, color=colour, alpha=0.3, linewidth=0.8)
             middle = smooth(iqm(returns.T))
-            place.plot(steps, middle, color=colour, linewidth=2.0, label=legends[title][label])
+            dot = "o" if np.isfinite(middle).sum() == 1 else None
+            place.plot(
+                steps, middle, color=colour, linewidth=2.0, label=legends[title][label], marker=dot
+            )
             if len(returns) >= _LEAST_SEEDS:
                 low, high = map(smooth, band(returns.T))
                 place.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0.0)

@@ -1,0 +1,30 @@
+"""The learner's metrics: what they count after a resume, and who is there."""
+
+from a2s.learner.ingest.members import Member
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.run_config import RunConfig
+from a2s.learner.run.status import Status
+
+
+def _value(metrics: LearnerMetrics, name: str, **labels: str) -> float | None:
+    return metrics.registry.get_sample_value(f"a2s_learner_{name}", labels)
+
+
+def test_a_resumed_run_counts_from_where_it_was() -> None:
+    metrics, status = LearnerMetrics(), Status(RunConfig(), rows=3, num_recoveries=2)
+    for episode_return in (1.0, 3.0):
+        status.episodes.add(episode_return, 5, {})
+    metrics.go_on(status)
+    counted = [_value(metrics, f"{name}_total") for name in ("updates", "episodes", "recoveries")]
+    assert counted == [3.0, 2.0, 2.0]
+    assert _value(metrics, "episode_return_mean") == 2.0
+
+
+def test_an_actor_that_leaves_is_shown_as_gone() -> None:
+    metrics = LearnerMetrics()
+    members = [Member(actor=name, slot=i, num_envs=1, heard_s=0.0) for i, name in enumerate("ab")]
+    metrics.show_actors(members)
+    assert [_value(metrics, "actor_up", slot=slot) for slot in "01"] == [1.0, 1.0]
+    metrics.show_actors(members[1:])
+    assert [_value(metrics, "actor_up", slot=slot) for slot in "01"] == [0.0, 1.0]
+    assert _value(metrics, "actors") == 1.0
