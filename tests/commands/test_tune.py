@@ -20,7 +20,7 @@ from a2s.protocol.errors import UsageError
         ("q_steps=50..400", Range("q_steps", low=50, high=400, whole=True)),
         ("std=0..1.5", Range("std", low=0, high=1.5)),
         ("lr_rule=kl,anneal", Range("lr_rule", ("kl", "anneal"))),
-        ("norm_obs=true", Range("norm_obs", ("true",))),
+        ("norm_obs=true,false", Range("norm_obs", ("true", "false"))),
     ],
 )
 def test_what_may_be_tried_is_read(text: str, expected: Range) -> None:
@@ -39,6 +39,7 @@ def test_what_may_be_tried_is_read(text: str, expected: Range) -> None:
         "a=b..c",
         "a=0..inf",
         "a=1,,2",
+        "a=1",
     ],
 )
 def test_what_cannot_be_read_is_refused(text: str) -> None:

@@ -77,7 +77,7 @@ def parse_range(text: str) -> Range:
     body = rest.removesuffix(_LOG)
     if _RANGE not in body:
         choices = tuple(rest.split(","))
-        if not all(choices):
+        if len(choices) == 1 or not all(choices):
             raise _unreadable(text)
         return Range(name, choices)
     ends = body.split(_RANGE)
@@ -170,6 +170,8 @@ def tune(
     every = max(1, total_steps // _EVALUATIONS)
     left = trials - len(study.get_trials(states=_ENDED))
     if left > 0:
+        words = f"{left} trials of {total_steps:,} steps, {parallel} at once, in {search.path}"
+        typer.echo(f"a2s tune: {words}", err=True)
         with contextlib.suppress(_Stopped):
             study.optimize(
                 lambda trial: _try(search, trial, every, stop),
@@ -266,7 +268,8 @@ def _try(search: Search, trial: Trial, every: int, stop: threading.Event) -> flo
 def _say(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
     if trial.state not in _ENDED:
         return
-    chosen = " ".join(f"{name}={value}" for name, value in trial.params.items())
+    values = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in trial.params.items()}
+    chosen = " ".join(f"{name}={value}" for name, value in values.items())
     value = "pruned" if trial.state == TrialState.PRUNED else written(trial.value or 0.0)
     typer.echo(f"trial {trial.number}: {value}  {chosen}", err=True)
 
