@@ -92,6 +92,7 @@ def test_whole_numbers_are_tried_where_a_hyperparameter_is_one(tmp_path: Path) -
 
 
 @pytest.mark.system
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_search_goes_on_and_leaves_the_best_configuration(tmp_path: Path) -> None:
     """The second call makes one trial more, and a third none."""

@@ -124,11 +124,12 @@ def promtool() -> str:
 def watched(
     promtool: str, root: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Watched]:
-    """A run of two workers with small batches, watched with the deployed configuration."""
+    """A run of two workers and an evaluator, watched with the deployed configuration."""
     folder = tmp_path_factory.mktemp("watched")
     endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     small = ["--set", "batch_steps=256", "--set", "first_batch_steps=256", "--envs", "2"]
     size = ["--env", "InvertedPendulum-v5", "--total-steps", "100000000", "--n", "2", *small]
+    size += ["--evaluate-every", "256", "--evaluation-episodes", "1"]
     place = ["--listen", endpoint, "--run-dir", str(folder / "run")]
     config, server = folder / "prometheus.yml", f"127.0.0.1:{port}"
     commands = {"learner": [*size, *place], "actor": ["--n", "2", "--connect", endpoint]}
@@ -139,6 +140,9 @@ def watched(
             log = folder / f"{name}.log"
             stack.enter_context(started([*command, "--metrics-port", "0"], log))
             addresses[f"a2s-{name}"] = serving(log)
+        evaluator = ["actor", "--evaluate", "--run", "watched", "--connect", endpoint]
+        command = [sys.executable, "-m", "a2s.cli", *evaluator, "--metrics-port", "-1"]
+        stack.enter_context(started(command, folder / "evaluator.log"))
         deployed = root / "deploy/prometheus/prometheus.yml"
         config.write_text(yaml.safe_dump(configuration(deployed, addresses)))
         subprocess.run([promtool, "check", "config", str(config)], check=True, timeout=30)
