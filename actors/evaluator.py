@@ -5,6 +5,7 @@ import threading
 import uuid
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from typing import NamedTuple
 
 from a2s.actors.actor import Task
 from a2s.actors.environments.environment import Environment
@@ -33,6 +34,13 @@ _ASK_TIMEOUT_S = 5.0
 _ASK_EVERY_S = 0.5
 _REPORT_EVERY_S = 1.0
 _ENVS = 8
+
+
+class _Reply(NamedTuple):
+    """What the learner said: whether anything, and whether it was a task."""
+
+    was_heard: bool
+    task: EvaluationTask | None = None
 
 
 class Evaluator:
@@ -87,10 +95,8 @@ class Evaluator:
             heartbeat.join()
 
     def _ask(self) -> EvaluationTask | None:
-        reply = self._ask_learner(
-            self._keys.evaluation_task, encode(EvaluationRequest(evaluator=self._name))
-        )
-        return decode(reply, EvaluationTask) if reply else None
+        payload = encode(EvaluationRequest(evaluator=self._name))
+        return self._ask_learner(self._keys.evaluation_task, payload).task
 
     def _evaluate(self, task: EvaluationTask, stack: ExitStack) -> None:
         episodes: list[EvaluatedEpisode] = []
@@ -116,12 +122,12 @@ class Evaluator:
         )
         payload = encode(result)
         while self._proceed():
-            if self._ask_learner(self._keys.evaluation_result, payload) is not None:
+            if self._ask_learner(self._keys.evaluation_result, payload).was_heard:
                 self._metrics.evaluations.inc()
                 return
             self._parent.stopped.wait(_ASK_EVERY_S)
 
-    def _ask_learner(self, key: str, payload: bytes) -> bytes | None:
+    def _ask_learner(self, key: str, payload: bytes) -> _Reply:
         """Ask, and take a refusal for the end.
 
         Raises:
@@ -130,13 +136,15 @@ class Evaluator:
         reply = self._bus.ask(key, payload, _ASK_TIMEOUT_S)
         if reply is None:
             self._patience.wait_for(f"the learner of run {self._keys.run!r} to answer")
-        else:
-            self._patience.over()
-        if reply:
-            answer = decode(reply, EvaluationTask, Refusal)
-            if isinstance(answer, Refusal):
-                raise RefusedError(f"the learner refused this evaluator: {answer.reason}")
-        return reply
+            return _Reply(was_heard=False)
+        self._patience.over()
+        if not reply:
+            return _Reply(was_heard=True)
+        answer = decode(reply, EvaluationTask, Refusal)
+        if isinstance(answer, Refusal):
+            raise RefusedError(f"the learner refused this evaluator: {answer.reason}")
+        assert isinstance(answer, EvaluationTask)
+        return _Reply(was_heard=True, task=answer)
 
     def _environments_of(
         self, metadata: dict[str, str], episodes: int, stack: ExitStack

@@ -1,6 +1,6 @@
 """Evaluation while training: when weights are evaluated, and what is done with the results."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,8 +10,6 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.status import Score, Status
 from a2s.protocol.evaluation_messages import (
     MODES,
-    EvaluatedEpisode,
-    EvaluationMode,
     EvaluationTask,
 )
 
@@ -72,17 +70,14 @@ class Evaluating:
         task, result = evaluated
         for mode in task.modes:
             played = [episode for episode in result.episodes if episode.mode == mode]
-            self._directory.evaluation([task.env_steps, task.weights_version, *_row(mode, played)])
-            self._metrics.show_evaluation(mode, [episode.episode_return for episode in played])
-            if mode == "mean":
-                returns = [episode.episode_return for episode in played]
-                score = Score(task.env_steps, float(np.mean(returns)), float(np.std(returns)))
-                if self._status.evaluated(score):
-                    self._directory.policy("best", task.graph)
-
-
-def _row(mode: EvaluationMode, played: Sequence[EvaluatedEpisode]) -> list[object]:
-    returns = [episode.episode_return for episode in played]
-    lengths = [episode.length for episode in played]
-    shown = np.mean(returns), np.std(returns), min(returns), max(returns), np.mean(lengths)
-    return [mode, len(played), *(f"{number:.9g}" for number in shown)]
+            returns = [episode.episode_return for episode in played]
+            score = Score(task.env_steps, float(np.mean(returns)), float(np.std(returns)))
+            length = np.mean([episode.length for episode in played])
+            shown = score.mean, score.std, min(returns), max(returns), length
+            self._directory.evaluation(
+                [task.env_steps, task.weights_version, mode, len(played)]
+                + [f"{number:.9g}" for number in shown]
+            )
+            self._metrics.show_evaluation(mode, returns)
+            if mode == "mean" and self._status.evaluated(score):
+                self._directory.policy("best", task.graph)

@@ -3,13 +3,15 @@
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from a2s.actors.evaluation import evaluate, read_policy, trained_on
 from a2s.actors.policy import mode_of
+from a2s.actors.suggester import Mode
 from a2s.commands.configure import environment_of
 from a2s.commands.process import pass_on
 from a2s.learner.numerals import written
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import UsageError, nearest
 
 _WEIGHTS = ("latest", "best")
@@ -38,8 +40,7 @@ def evaluate_run(
         UsageError: There is no policy, or it does not fit the environment.
         FaultyEnvironmentError: The environment raised, hung, or returned something invalid.
     """
-    known, path = mode_of(mode), policy_of(run, weights)
-    config = environment_of(options, trained_on(str(path), read_policy(path, known).metadata))
+    known, path, config = choose(run, options, mode, weights)
     result = evaluate(
         path.absolute(),
         known,
@@ -74,6 +75,25 @@ def policy_of(run: Path, weights: str) -> Path:
     if weights not in _WEIGHTS:
         raise UsageError(f"--weights: found {weights!r}{nearest(weights, _WEIGHTS)}")
     return run / weights / "policy.onnx" if run.is_dir() else run
+
+
+class Choice(NamedTuple):
+    """What is played: how, which policy, and in which environment."""
+
+    mode: Mode
+    policy: Path
+    config: EnvConfig
+
+
+def choose(run: Path, options: Mapping[str, Any], mode: str, weights: str) -> Choice:
+    """Decide it as `evaluate_run` is asked to.
+
+    Raises:
+        UsageError: There is no policy, or it does not say its environment.
+    """
+    known, path = mode_of(mode), policy_of(run, weights)
+    told = trained_on(str(path), read_policy(path, known).metadata)
+    return Choice(known, path, environment_of(options, told))
 
 
 def line(result: dict[str, Any]) -> str:

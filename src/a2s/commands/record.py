@@ -6,11 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from a2s.actors.evaluation import read_policy, trained_on
-from a2s.actors.policy import mode_of
 from a2s.actors.recording import record
-from a2s.commands.configure import environment_of
-from a2s.commands.evaluate import policy_of
+from a2s.commands.evaluate import choose
 from a2s.commands.process import pass_on
 from a2s.commands.rendering import HELP, find_backend
 from a2s.learner.numerals import written
@@ -46,8 +43,7 @@ def record_run(
         raise UsageError(f"a2s record needs {', '.join(missing)}; pip install 'a2s[video]'")
     if output.suffix != _SUFFIX:
         raise UsageError(f"--output: found {output}, expected a name that ends in {_SUFFIX}")
-    known, path = mode_of(mode), policy_of(run, weights)
-    config = environment_of(options, trained_on(str(path), read_policy(path, known).metadata))
+    known, path, config = choose(run, options, mode, weights)
     backend = find_backend()
     if backend is not None:
         os.environ["MUJOCO_GL"] = backend  # of the child
