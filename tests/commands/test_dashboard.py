@@ -1,5 +1,7 @@
 """``a2s dashboard``: targets as a user writes them, and learners that do not answer."""
 
+import socket
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -64,3 +66,29 @@ def test_a_learner_that_does_not_answer_is_down(learner: Server) -> None:
     assert not history.is_up
     recall(history, url)  # and has no past
     assert len(history.since(0.0)["t"]) == 1
+
+
+@pytest.mark.parametrize(
+    "said", [b"SSH-2.0-x\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 99\r\n\r\n{"]
+)
+def test_a_peer_that_speaks_otherwise_is_down_and_no_more(said: bytes) -> None:
+    """Something else listens there, or a learner that dies while it answers."""
+    history = History()
+    history.is_up = True
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def answer_twice() -> None:
+            for _ in range(2):
+                peer, _ = listener.accept()
+                with peer:
+                    peer.recv(4096)
+                    peer.sendall(said)
+
+        thread = threading.Thread(target=answer_twice)
+        thread.start()
+        url = address(f"127.0.0.1:{listener.getsockname()[1]}")
+        recall(history, url)
+        scrape(history, url)
+        thread.join()
+    assert not history.is_up
+    assert history.since(0.0) == {"t": [], "series": {}}
