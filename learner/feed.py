@@ -86,8 +86,11 @@ class Feed:
         """Take a look at the actors."""
         return Attendance()
 
-    def stop(self) -> list[Arrival]:
-        """Take no more steps, and return those that came too late to be a batch."""
+    def stop(self) -> None:
+        """Accept no more steps."""
+
+    def take(self) -> list[Arrival]:
+        """Take the steps that came too late to be a batch."""
         return []
 
     def close(self) -> None:

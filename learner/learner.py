@@ -1,5 +1,6 @@
 """The learner's loop: wait for a batch, learn, recover, publish, record, checkpoint."""
 
+import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ from typing import Any
 from a2s.learner.feed import Arrival, Feed
 from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.evaluations import Evaluations
+from a2s.learner.ingest.journal import Journal
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
@@ -27,6 +29,8 @@ from a2s.protocol.errors import UnreachableError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import RecoveryEvent
 
+logger = logging.getLogger(__name__)
+
 _EVALUATION_WAIT_S = 1.0
 _EVALUATIONS = "evaluations by `a2s actor --evaluate`"
 
@@ -35,9 +39,10 @@ class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
     ``connect`` makes the feed of a generation and is given the handler of events; ``evaluations``
-    are the feed's. ``env_steps`` are those of earlier starts. ``kind`` names the kind of run;
-    checkpoints of another kind are refused. ``saved`` is a checkpoint to go on from. The trainer is
-    closed at the end.
+    are the feed's. ``past`` gives the batches since the checkpoint, from the ``journal``.
+    ``env_steps`` are those of earlier starts. ``kind`` names the kind of run; checkpoints of
+    another kind are refused. ``saved`` is a checkpoint to go on from. The trainer is closed at the
+    end.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or has changed since it was saved.
@@ -50,6 +55,8 @@ class Learner:
         trainer: Trainer,
         connect: Callable[[int, Callable[..., None]], Feed],
         evaluations: Evaluations,
+        past: Feed | None = None,
+        journal: Journal | None = None,
         env_steps: int,
         path: Path,
         kind: str,
@@ -62,18 +69,18 @@ class Learner:
         self._status = status = Status(run)
         columns = (*POSITION, *trainer.columns)
         self._directory = directory = RunDirectory(path, columns, lambda: status.wall_s)
-        self._saver = Saver(trainer, status, directory, metrics, kind, spaces.obs_offset)
+        self._saver = Saver(trainer, status, directory, metrics, kind, spaces.obs_offset, journal)
         if saved is None:
             self._saver.save()
         else:
-            self._saver.go_on(saved[1])
+            self._saver.go_on(saved[1], again=past is not None)
         names = run.env_config().metric_names
         self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
         self._board = Board(path, run.variant) if run.tensorboard else None
         self._evaluating = Evaluating(evaluations, directory, metrics, status)
         status.generation = directory.count_start()
         status.env_steps = status.steps_at_start = env_steps
-        self._feed = connect(status.generation, directory.event)
+        self._feed, self._past = connect(status.generation, directory.event), past
         self._overlaps = trainer.overlaps_learning and clock_of(run.clock).waits_for_weights
 
     @property
@@ -103,9 +110,11 @@ class Learner:
             for part in (self._directory, self._trainer, self._feed, self._board):
                 if part is not None:
                     stack.enter_context(closing(part))
-            self._open()
+            self._start()
+            self._learn_again(proceed)
             try:
-                self._publish()
+                if self._past is None or not stopped():
+                    self._open()
                 while not self._status.is_finished and not stopped():
                     if not self._step(proceed):
                         break
@@ -113,6 +122,21 @@ class Learner:
                 self._saver.try_save()
                 raise UnreachableError(f"{error} Go on with --resume when it is there") from None
             return self._finish(proceed)
+
+    def _learn_again(self, proceed: Callable[[str], bool]) -> None:
+        """Learn from the batches since the checkpoint."""
+        if self._past is None:
+            return
+        status, feed, updates = self._status, self._feed, self._trainer.updates
+        self._feed = self._past
+        self._begin()
+        while not status.is_finished and self._step(proceed):
+            pass
+        made, steps = self._trainer.updates - updates, status.env_steps - status.steps_at_start
+        if made:
+            self._directory.event("again", updates=made, env_steps=steps)
+            logger.warning("learned again what came after the checkpoint: %d updates", made)
+        self._feed, status.steps_at_start = feed, status.env_steps
 
     def _step(self, proceed: Callable[[str], bool]) -> bool:
         """Learn from one batch; false if the wait for it was ended."""
@@ -178,13 +202,29 @@ class Learner:
         if self._overlaps and not status.is_finished:
             self._wait_for_batch(proceed)
 
+    def _begin(self) -> None:
+        """Give actors what they played last, or the first networks."""
+        status, acting = self._status, self._status.acting
+        if status.version == 0:
+            self._publish()
+        elif status.is_ahead:
+            self._feed.publish(lambda _: acting, status.version, status.num_recoveries)
+        else:
+            self._give(status.version)
+
     def _publish(self) -> None:
         """Give the networks to the actors unless the run is at its end."""
+        self._give(self._feed.next_version(self._status.version))
+
+    def _give(self, version: int) -> None:
         status = self._status
-        version = self._feed.next_version(status.version)
+
+        def graph(version: int) -> bytes:
+            status.acting = self._trainer.graph(version, status.fraction)
+            return status.acting
+
         if not status.is_finished:
             with self._metrics.update_seconds.labels(phase="publish").time():
-                graph = partial(self._trainer.graph, progress=status.fraction)
                 self._feed.publish(graph, version, status.num_recoveries)
         status.version, status.is_ahead = version, False
         self._metrics.published.inc()
@@ -211,20 +251,26 @@ class Learner:
         if passed(run.keep_policy_every_updates):
             self._saver.keep_policy(f"policies/{status.env_steps:09d}")
 
-    def _open(self) -> None:
+    def _start(self) -> None:
         status = self._status
         self._metrics.target_steps.set(status.run.total_steps)
         self._metrics.generation.set(status.generation)
         self._directory.event("start", generation=status.generation, env_steps=status.env_steps)
-        self._feed.open(lambda: status.message(self._feed.attendance().members))
+
+    def _open(self) -> None:
+        """Have actors come in, and play."""
+        self._feed.open(lambda: self._status.message(self._feed.attendance().members))
+        self._begin()
 
     def _finish(self, proceed: Callable[[str], bool]) -> dict[str, Any]:
         begin_s = time.monotonic()
         while self._evaluating.awaits(time.monotonic() - begin_s) and proceed(_EVALUATIONS):
             self._evaluating.look(_EVALUATION_WAIT_S)
-        self._count(self._feed.stop())
+        self._feed.stop()
         status, path = self._status, self._directory.path
-        status.version, status.is_ahead = status.networks_version, False
+        if status.is_finished:
+            self._count(self._feed.take())
+            status.version, status.is_ahead = status.networks_version, False
         self._saver.try_save()
         reached = status.summary(self._feed.attendance(), self._saver.latest)
         summary = {"run_dir": str(path), **reached}

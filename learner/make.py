@@ -10,7 +10,10 @@ from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
+from a2s.learner.ingest.journal import Journal, Record
+from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.server import Server
 from a2s.learner.initial import begin_with
 from a2s.learner.learner import Learner
@@ -62,21 +65,39 @@ def make_learner(
         spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
     metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
     ledger, evaluations = Ledger(path / "segments.log"), Evaluations()
+    journal, records = _journal(path, ledger, saved)
     trainer: Trainer
     store: OwnReplay | OnPolicyTrainer
     if isinstance(hyper, OffPolicyConfig):
         trainer, store = make_off_policy(
-            run, spaces, hyper, path, ledger, metadata, metrics, learned
-        )
+            run, spaces, hyper, path, ledger, metadata, metrics, learned,
+            again=records is not None,
+        )  # fmt: skip
     else:
         trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
     _begin(trainer, configuration, saved)
+    past, env_steps = JournalFeed(journal, records or (), store), ledger.accepted_steps
+    if saved is not None and records is not None:
+        env_steps = saved[1]["env_steps"]
     return Learner(
         run=run,
         trainer=trainer,
-        connect=partial(_connect, run, spaces, bus, ledger, metrics, store, evaluations),
+        connect=partial(
+            _connect,
+            run,
+            spaces,
+            bus,
+            ledger,
+            journal,
+            metrics,
+            store,
+            evaluations,
+            past.left_over,
+        ),
         evaluations=evaluations,
-        env_steps=ledger.accepted_steps,
+        past=past if records else None,
+        journal=journal,
+        env_steps=env_steps,
         path=path,
         kind=kind,
         spaces=spaces,
@@ -84,6 +105,25 @@ def make_learner(
         metrics=metrics,
         view=view,
     )
+
+
+def _journal(
+    path: Path, ledger: Ledger, saved: Saved | None
+) -> tuple[Journal, list[Record] | None]:
+    """Open the journal of a run, and read what came after a checkpoint; ``None``: nothing can."""
+    journal = Journal(path / "journal", ledger.accepted_steps)
+    if saved is None:
+        return journal, None
+    place = saver.place(saved[1])
+    if not journal.has(place):
+        logger.warning(
+            "%s: is not there any more; what was learned since the checkpoint is lost, though its "
+            "steps count",
+            journal.folder,
+        )
+        return journal, None
+    journal.place = place
+    return journal, read_again(journal, place, ledger)
 
 
 def make_replay_learner(
@@ -147,8 +187,12 @@ def make_off_policy(
     metadata: dict[str, str],
     metrics: LearnerMetrics,
     saved: Saved | None,
+    *,
+    again: bool = False,
 ) -> tuple[OffPolicyTrainer, OwnReplay]:
     """Make the trainer and the replay of a run in a directory.
+
+    What the replay got since it was ``saved`` comes ``again``, or stays.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or what was saved does not fit.
@@ -157,7 +201,7 @@ def make_off_policy(
     algorithm, updates = _off_policy(run, spaces, hyper, saved)
     replay = OwnReplay(
         path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics,
-        saved[1] if saved else None,
+        saved[1] if saved else None, again=again,
     )  # fmt: skip
     trainer = OffPolicyTrainer(algorithm, replay, spaces, metadata, metrics, updates)
     return trainer, replay
@@ -179,20 +223,22 @@ def _connect(
     spaces: Spaces,
     bus: Bus,
     ledger: Ledger,
+    journal: Journal,
     metrics: LearnerMetrics,
     store: OwnReplay | OnPolicyTrainer,
     evaluations: Evaluations,
+    left_over: LeftOver,
     generation: int,
     on_event: Callable[..., None],
 ) -> Server:
     """Make the feed that actors find on the bus; it answers once it is opened."""
     lag, suggestion = store.max_policy_lag, store.max_suggestion
     admission = Admission(run, spaces, generation, lag, suggestion)
-    ingest = Ingest(admission, ledger, metrics, on_event, store)
+    ingest = Ingest(admission, ledger, metrics, on_event, store, journal, left_over)
     keys = Keys(run.run)
     if isinstance(store, OwnReplay):
         ServedReplay(bus, keys, store.replay, generation).open()
-    return Server(bus, keys, generation, ingest, store, evaluations, metrics)
+    return Server(bus, keys, generation, ingest, evaluations, metrics)
 
 
 def _of_trainer(saved: Saved | None) -> Saved | None:

@@ -31,7 +31,8 @@ class OwnReplay:
     """A `Store` and the `Source` of an `OffPolicyTrainer`: segments go in, batches come out.
 
     ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
-    inserted since then belong to the next batch. ``replay`` has the rows.
+    that had not been learned from by then are taken back if they come ``again``, else they belong
+    to the next batch. ``replay`` has the rows.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
@@ -52,6 +53,8 @@ class OwnReplay:
         ledger: Ledger,
         metrics: LearnerMetrics,
         saved: Mapping[str, Any] | None = None,
+        *,
+        again: bool = False,
     ) -> None:
         self._hyper, self._metrics = hyper, metrics
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
@@ -66,7 +69,7 @@ class OwnReplay:
         self._quota_steps = hyper.send_every_steps
         self._update_s = 0.01
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
-        self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned)
+        self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned, again=again)
         num_rows = self.replay.live.stop
         self._num_learned = min(self._num_learned, num_rows)  # another replay may have been begun
         self._limiter.count_insert(num_rows)
@@ -154,7 +157,7 @@ class OwnReplay:
         self.replay.flush()
         return {
             "learned_from": self._num_learned,
-            "limiter": self._limiter.state(),
+            "limiter": self._limiter.state(self._num_learned),
             "highest_priority": self.replay.highest_priority,
             "rng": self._rng.bit_generator.state,
         }
@@ -187,6 +190,8 @@ def _open(
     hyper: OffPolicyConfig,
     ledger: Ledger,
     num_learned: int,
+    *,
+    again: bool,
 ) -> Replay:
     """Open the replay that is there, given the wanted capacity; else make one."""
     alpha = hyper.priority_exponent
@@ -201,6 +206,7 @@ def _open(
         spaces=spaces,
         is_known=ledger.knows,
         least_rows=num_learned,
+        most_rows=num_learned if again else None,
         alpha=alpha,
         **sizes,
     )

@@ -30,6 +30,11 @@ class Round:
     steps: int = 0
 
     @property
+    def epoch(self) -> int:
+        """Of all its arrivals."""
+        return self.notice.epoch
+
+    @property
     def num_batches(self) -> float:
         """Number of complete batches among the arrivals."""
         return self.steps / self.batch_steps

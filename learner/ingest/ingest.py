@@ -13,9 +13,11 @@ from dataclasses import replace
 from a2s.learner.feed import Arrival, Attendance
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.clock import Round, clock_of
+from a2s.learner.ingest.journal import Begun, Journal
 from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.members import SILENT_S, Member, Members
-from a2s.learner.ingest.store import Store
+from a2s.learner.ingest.store import Quota, Store
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.errors import RunDirectoryError, one_line
 from a2s.protocol.messages import (
@@ -37,8 +39,9 @@ _WAIT_S = 0.5
 class Ingest:
     """Judges what arrives, stores it, and says when a batch is complete.
 
-    ``on_event`` gets joins, leaves and refusals. ``store`` gets accepted segments before they are
-    written into the ``ledger`` and acknowledged. Both are called with the lock held.
+    ``on_event`` gets joins, leaves and refusals. ``journal`` and ``store`` get accepted segments
+    before they are written into the ``ledger`` and acknowledged. All are called with the lock held.
+    ``left_over`` is for the first batch.
     """
 
     def __init__(
@@ -48,10 +51,12 @@ class Ingest:
         metrics: LearnerMetrics,
         on_event: Callable[..., None],
         store: Store,
+        journal: Journal,
+        left_over: LeftOver,
     ) -> None:
         self._admission, self._clock = admission, clock_of(admission.run.clock)
         self._ledger, self._metrics, self._on_event = ledger, metrics, on_event
-        self._store = store
+        self._store, self._journal, self._left_over = store, journal, left_over
         self._members = Members(admission.run.seed, admission.generation)
         self._changed = threading.Condition()
         self._round: Round | None = None
@@ -73,6 +78,8 @@ class Ingest:
             member, seed = self._members.join(hello, time.monotonic())
             if is_new:
                 self._welcome(hello, member.slot)
+                if self._round is not None:
+                    self._left_over.deliver(member, self._round.notice)
             self._changed.notify_all()
         return admission.welcome(member.slot, seed)
 
@@ -137,18 +144,41 @@ class Ingest:
         with self._changed:
             self._leave(actor, "lost")
 
-    def begin(self, notice: Notice, batch_steps: int) -> None:
-        """New weights are out: count their quota from here, and forget stale segments."""
+    def quota(self, version: int, epoch: int) -> tuple[int, Quota]:
+        """The number of environments that weights are for, and what those play by them.
+
+        An actor that has begun with a quota finds the same one after a restart.
+        """
+        num_envs = self.num_envs
+        quota = self._store.quota(num_envs)
         with self._changed:
-            before = self._round
-            self._round = Round(
-                notice=notice, batch_steps=batch_steps, published_s=time.monotonic()
-            )
-            if before is not None and before.notice.epoch == notice.epoch:
-                self._round.arrivals, self._round.steps = before.arrivals, before.steps
-            elif before is not None:
+            return num_envs, self._left_over.quota(version, epoch) or quota
+
+    def begin(self, notice: Notice, quota: Quota, num_envs: int) -> None:
+        """New weights are out for so many environments: count their quota from here.
+
+        Segments of another epoch are forgotten.
+
+        Raises:
+            RunDirectoryError: It cannot be written down.
+        """
+        with self._changed:
+            self._journal.begin(Begun(notice.version, notice.epoch, num_envs, quota))
+            before = self._round or self._left_over
+            arrivals = before.arrivals
+            if arrivals and before.epoch != notice.epoch:
+                arrivals = []
                 self._store.close_batch()  # and the next one takes its place
+            self._round = Round(
+                notice=notice,
+                batch_steps=quota.batch_steps,
+                published_s=time.monotonic(),
+                arrivals=arrivals,
+                steps=sum(arrival.num_steps for arrival in arrivals),
+            )
             self._members.begin()
+            for member in self._members.present:
+                self._left_over.deliver(member, notice)
 
     def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
         """Wait for a batch and take it; see :meth:`a2s.learner.feed.Feed.next_batch`.
@@ -171,6 +201,8 @@ class Ingest:
             if self._round is None:
                 return []
             arrivals, self._round.arrivals, self._round.steps = self._round.arrivals, [], 0
+            if arrivals:
+                self._journal.take(self._ledger.accepted_steps)
             self._store.close_batch()
         return sorted(arrivals, key=lambda arrival: arrival[:3])
 
@@ -193,8 +225,9 @@ class Ingest:
             )
 
     def close(self) -> None:
-        """Close the ledger; nothing may arrive any more."""
+        """Close ledger and journal; nothing may arrive any more."""
         self._ledger.close()
+        self._journal.close()
 
     def _welcome(self, hello: Hello, slot: int) -> None:
         self._has_begun |= len(self._members.present) >= self._admission.run.n
@@ -225,6 +258,7 @@ class Ingest:
             raise self._failure
         try:
             if verdict == "accepted" and member is not None:
+                self._journal.segment(member.slot, segment)
                 self._store.store(member.slot, segment)
             self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
         except RunDirectoryError as error:

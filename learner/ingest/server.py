@@ -7,7 +7,6 @@ from collections.abc import Callable
 from a2s.learner.feed import Arrival, Attendance, Feed
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
-from a2s.learner.ingest.store import Store
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.protocol.codec import decode, encode, refuse_major_1
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
@@ -28,7 +27,7 @@ from a2s.protocol.transport import Bus
 class Server(Feed):
     """Connects actors with the ingest, and gives them weights.
 
-    The learner becomes visible on ``bus`` with :meth:`open`. ``store`` decides the quota.
+    The learner becomes visible on ``bus`` with :meth:`open`.
     """
 
     def __init__(
@@ -37,12 +36,11 @@ class Server(Feed):
         keys: Keys,
         generation: int,
         ingest: Ingest,
-        store: Store,
         evaluations: Evaluations,
         metrics: LearnerMetrics,
     ) -> None:
         self._bus, self._keys, self._generation = bus, keys, generation
-        self._ingest, self._store, self._metrics = ingest, store, metrics
+        self._ingest, self._metrics = ingest, metrics
         self._evaluations = evaluations
         self._lock = threading.Lock()
         self._newest = b"", b""  # notice and weights
@@ -65,7 +63,7 @@ class Server(Feed):
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
         """Announce weights with the quota to be played by them, and keep them for requests."""
         graph = make_graph(version)
-        quota = self._store.quota(self._ingest.num_envs)
+        num_envs, quota = self._ingest.quota(version, epoch)
         notice = Notice(
             generation=self._generation,
             epoch=epoch,
@@ -76,7 +74,7 @@ class Server(Feed):
             sha256=hashlib.sha256(graph).hexdigest(),
         )
         newest = encode(notice), encode(Weights(notice=notice, graph=graph))
-        self._ingest.begin(notice, quota.batch_steps)  # before anybody can play by them
+        self._ingest.begin(notice, quota, num_envs)  # before anybody can play by them
         with self._lock:
             self._newest = newest
         self._bus.publish(self._keys.notice, newest[0])
@@ -90,9 +88,12 @@ class Server(Feed):
         """Wait until the next batch is stored."""
         return self._ingest.next_batch(proceed)
 
-    def stop(self) -> list[Arrival]:
-        """Stop listening, and take the segments that came too late for a batch."""
+    def stop(self) -> None:
+        """Stop listening."""
         self._bus.close()
+
+    def take(self) -> list[Arrival]:
+        """Take the segments that came too late for a batch."""
         return self._ingest.take()
 
     def attendance(self) -> Attendance:
@@ -100,7 +101,7 @@ class Server(Feed):
         return self._ingest.attendance()
 
     def close(self) -> None:
-        """End the connection, then close the ledger."""
+        """End the connection, then close ledger and journal."""
         self._bus.close()
         self._ingest.close()
 

@@ -66,13 +66,15 @@ def open_existing(
     batch_size: int = 1,
     is_known: Callable[[str, int], bool] | None = None,
     least_rows: int = 0,
+    most_rows: int | None = None,
     alpha: float = 0.6,
 ) -> Replay:
     """Open a replay to go on with it; every live row is compared with its checksum.
 
     With another ``capacity`` the newest rows are kept. Segments that ``is_known`` does not find in
     the ledger are taken back, see `Repair`. The first ``least_rows`` were inserted before the
-    newest checkpoint: a kill cannot tear them, so that a replay without them is damaged.
+    newest checkpoint: a kill cannot tear them, so that a replay without them is damaged. Those past
+    ``most_rows`` are taken back: they are inserted again.
 
     Raises:
         UsageError: The capacity is below one batch.
@@ -85,7 +87,7 @@ def open_existing(
     capacity = about.capacity if capacity is None else capacity
     _require_capacity(capacity, batch_size)
     with locked(path) as lock_file:
-        found = Repair(path, about, writable=True, is_known=is_known)
+        found = Repair(path, about, writable=True, is_known=is_known, most_rows=most_rows)
         files, ring = found.files, found.ring
         if ring.end < least_rows:
             raise RunDirectoryError(

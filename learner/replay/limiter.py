@@ -93,11 +93,11 @@ class Limiter:
         """Count a batch that was sampled."""
         self.samples += self._batch_size
 
-    def state(self) -> dict[str, float]:
-        """The contents of a checkpoint."""
+    def state(self, inserts: int) -> dict[str, float]:
+        """The contents of a checkpoint, which goes on after this number of insertions."""
         return {
-            "inserts": self.inserts,
-            "error": self.error,
+            "inserts": inserts,
+            "error": self._error(inserts),
             "insert_waits": self.insert_waits,
             "sample_waits": self.sample_waits,
         }
@@ -112,7 +112,7 @@ class Limiter:
             RunDirectoryError: A number is missing or is not one.
         """
         try:
-            found = {name: float(state[name]) for name in self.state()}
+            found = {name: float(state[name]) for name in self.state(0)}
         except (KeyError, TypeError, ValueError) as error:
             raise RunDirectoryError(
                 f"checkpoint: samples per insert: found no usable {error}"

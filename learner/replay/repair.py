@@ -15,7 +15,8 @@ class Repair:
     """Finds the rows that count, compares each with its checksum and makes them live in ``ring``.
 
     ``is_known`` says whether the segment with this actor and number is in the ledger. Unknown ones
-    at the end were not acknowledged, and are taken back. Nothing is written to the files here.
+    at the end were not acknowledged, and are taken back; so are those past ``most_rows``. Nothing
+    is written to the files here.
 
     Attributes:
         live: Records with a live row, oldest first.
@@ -34,6 +35,7 @@ class Repair:
         *,
         writable: bool = False,
         is_known: Callable[[str, int], bool] | None = None,
+        most_rows: int | None = None,
     ) -> None:
         self._path = path
         self.files = Files(path, about, writable=writable)
@@ -47,6 +49,8 @@ class Repair:
             self.taken_back = sum(record.steps for record in unknown)
         self.torn += len(self._cut(lambda record: not self._has_rows_of(record)))
         self.torn += len(self._cut(_is_unfinished))
+        if most_rows is not None:
+            self._cut(lambda record: record.end > most_rows)
         self.num_bytes = len(self._records) * RECORD_BYTES
         self.live = self._make_live(written)
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from a2s.protocol.errors import RunDirectoryError
 
 _MAX_KEPT = 3
-_FORMAT = 4
+_FORMAT = 5
 
 
 def save(

@@ -240,10 +240,19 @@ class RunDirectory:
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
         self._updates.close()
-        path = self.path / "updates.csv"
+        self._keep_rows("updates.csv", count)
+        self._updates = self._open_table("updates.csv", self._update_columns)
+
+    def keep_episodes(self, count: int) -> None:
+        """Forget rows of ``episodes.csv`` past this many: they come again."""
+        self._episodes.close()
+        self._keep_rows("episodes.csv", count)
+        self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+
+    def _keep_rows(self, name: str, count: int) -> None:
+        path = self.path / name
         lines = path.read_text().splitlines(keepends=True)
         write_atomically(path, "".join(lines[: count + 1]).encode())
-        self._updates = self._open_table("updates.csv", self._update_columns)
 
     def evaluation(self, row: Sequence[object]) -> None:
         """Append to ``evaluations.csv``: the values of `EVALUATION_COLUMNS` but for the first."""

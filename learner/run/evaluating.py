@@ -33,7 +33,9 @@ class Evaluating:
         self._evaluations, self._directory = evaluations, directory
         self._metrics, self._status = metrics, status
         self._wanted = self._steps = 0
+        self._known = set[int]()  # steps that were evaluated by earlier starts
         for each in directory.read_evaluations("mean"):
+            self._known.add(each.env_steps)
             status.evaluated(Score(each.env_steps, each.mean, each.std))
 
     def want(self, make_graph: Callable[[int, float], bytes]) -> None:
@@ -41,7 +43,8 @@ class Evaluating:
         status, run = self._status, self._status.run
         before, self._steps = max(self._steps, status.steps_at_start), status.env_steps
         every = run.evaluate_every
-        if not every or self._steps // every == before // every:
+        is_due = every and self._steps // every > before // every
+        if not is_due or self._steps in self._known:
             return
         self._wanted += 1
         task = EvaluationTask(

@@ -1,10 +1,12 @@
 """Saves policies and checkpoints, and goes on from them."""
 
+import base64
 import logging
 from typing import Any
 
 import numpy as np
 
+from a2s.learner.ingest.journal import Journal, Place
 from a2s.learner.run import checkpoint
 from a2s.learner.run.directory import RunDirectory
 from a2s.learner.run.metrics import LearnerMetrics
@@ -19,8 +21,9 @@ logger = logging.getLogger(__name__)
 class Saver:
     """Saves a run, and goes on with it.
 
-    Checkpoints of another ``kind`` of run are refused. The status and the environment's
-    ``obs_offset`` are saved as well. ``latest`` is the policy that was saved last, as ONNX.
+    Checkpoints of another ``kind`` of run are refused. The status, the environment's ``obs_offset``
+    and the place in the ``journal``, of a run with actors, are saved as well. ``latest`` is the
+    policy that was saved last, as ONNX.
     """
 
     def __init__(
@@ -31,9 +34,11 @@ class Saver:
         metrics: LearnerMetrics,
         kind: str,
         obs_offset: Array | None,
+        journal: Journal | None,
     ) -> None:
         self._trainer, self._status, self._directory = trainer, status, directory
         self._metrics, self._kind, self._obs_offset = metrics, kind, obs_offset
+        self._journal = journal
         self.latest = b""
 
     def save(self) -> None:
@@ -42,13 +47,17 @@ class Saver:
         Raises:
             RunDirectoryError: They cannot be written.
         """
-        status, offset = self._status, self._obs_offset
+        status, offset, journal = self._status, self._obs_offset, self._journal
         tensors, algorithm = self._trainer.state()
         self.latest = self.keep_policy("latest")
         state = {
             "algorithm": algorithm,
             "rows": status.rows,
+            "episodes": status.episodes.count,
+            "env_steps": status.env_steps,
+            "journal": None if journal is None else list(journal.place),
             "version": status.version,
+            "acting": base64.b64encode(status.acting).decode() if status.is_ahead else "",
             "num_recoveries": status.num_recoveries,
             "best_recent": status.best_recent,
             "wall_s": status.wall_s,
@@ -57,6 +66,8 @@ class Saver:
         folder, updates = self._directory.path / "checkpoints", self._trainer.updates
         with self._metrics.checkpoint_seconds.time():
             _, size = checkpoint.save(folder, updates, tensors, state, kind=self._kind)
+        if journal is not None:
+            journal.roll()
         self._metrics.checkpoint_time.set_to_current_time()
         self._metrics.checkpoint_bytes.set(size)
 
@@ -82,17 +93,27 @@ class Saver:
             self._status.best_recent = recent
             self.keep_policy("best")
 
-    def go_on(self, state: dict[str, Any]) -> None:
-        """Restore a checkpoint's state, and the episodes since; forget later updates."""
-        status = self._status
+    def go_on(self, state: dict[str, Any], *, again: bool) -> None:
+        """Restore a checkpoint's state; forget later updates, and episodes that come ``again``."""
+        status, kept = self._status, state["episodes"] if again else None
+        status.acting = base64.b64decode(state["acting"])
+        status.is_ahead = bool(status.acting)
         status.version, status.num_recoveries = state["version"], state["num_recoveries"]
         status.best_recent, status.worked_s = state["best_recent"], state["wall_s"]
         status.updates, status.rows = self._trainer.updates, state["rows"]
         for wall_s, episode_return, length, metrics in self._directory.read_episodes():
-            status.episodes.add(episode_return, length, metrics)
+            if kept is None or status.episodes.count < kept:
+                status.episodes.add(episode_return, length, metrics)
             status.worked_s = max(status.worked_s, wall_s)
+        if kept is not None:
+            self._directory.keep_episodes(kept)
         self._directory.keep_updates(status.rows)
         self._metrics.go_on(status)
+
+
+def place(state: dict[str, Any]) -> Place:
+    """Where the journal of a run with actors goes on from a checkpoint."""
+    return Place(*state["journal"])
 
 
 def obs_offset(state: dict[str, Any]) -> Array | None:

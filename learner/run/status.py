@@ -36,6 +36,7 @@ class Status:
         steps_at_start: The same, when this learner started.
         rows: Rows of ``updates.csv``.
         version: Newest weights that were published.
+        acting: Their graph.
         is_ahead: The networks have learned since then, and are of the version after it.
         num_recoveries: Called ``epoch`` on the wire.
         best_recent: Best mean return of 10 episodes in a row; ``None`` before the first.
@@ -56,6 +57,7 @@ class Status:
     updates: int = 0
     rows: int = 0
     version: int = 0
+    acting: bytes = b""
     is_ahead: bool = False
     num_recoveries: int = 0
     best_recent: float | None = None

@@ -1,6 +1,6 @@
 """Ingest: what is accepted, stale and refused, and when a batch is complete."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,9 @@ from segments import segment
 from a2s.learner.feed import Arrival
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.ingest import Ingest
+from a2s.learner.ingest.journal import Journal, Stored
 from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Quota
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
@@ -22,6 +24,7 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 
 SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
+QUOTA = Quota(8, 4, 0)
 MakeNotice = Callable[..., Notice]
 NoRoom = Callable[[], AbstractContextManager[None]]
 
@@ -32,10 +35,18 @@ class _Run:
     max_policy_lag: int | None = None
     max_suggestion = 1.0
 
-    def __init__(self, path: Path, *, max_policy_lag: int | None = 1, **options: Any) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        max_policy_lag: int | None = 1,
+        left: Sequence[Stored] = (),
+        **options: Any,
+    ) -> None:
         self.events: list[tuple[str, dict[str, object]]] = []
         self.metrics = LearnerMetrics()
         self.ledger = Ledger(path / "segments.log")
+        self.journal = Journal(path / "journal", self.ledger.accepted_steps)
         run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
         self.ingest = Ingest(
             Admission(run, SPACES, 2, max_policy_lag, 1.001),
@@ -43,6 +54,8 @@ class _Run:
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
             self,
+            self.journal,
+            LeftOver(list(left)),
         )
         self.kept: list[Segment] = []
         self.num_closed = 0
@@ -83,7 +96,7 @@ class _Run:
 @pytest.fixture
 def run(tmp_path: Path, make_notice: MakeNotice) -> _Run:
     run = _Run(tmp_path)
-    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     return run
 
 
@@ -159,14 +172,14 @@ def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
 def test_what_cannot_be_written_down_is_not_stored_again(run: _Run, no_room: NoRoom) -> None:
     """However often it is sent; and nothing else is, once one has failed."""
     run.join("a")
-    for seq in range(6):  # lines of 15 bytes
+    for seq in range(6):
         run.ingest.segment(_segment(seq=seq))
-    with no_room(), pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
+    with no_room(), pytest.raises(RunDirectoryError, match="journal: File too large"):
         run.ingest.segment(_segment(seq=6))
     for seq in (6, 7):
-        with pytest.raises(RunDirectoryError, match=r"segments.log: File too large"):
+        with pytest.raises(RunDirectoryError, match="journal: File too large"):
             run.ingest.segment(_segment(seq=seq))
-    assert [stored.seq for stored in run.kept] == list(range(7))
+    assert [stored.seq for stored in run.kept] == list(range(6))
     assert run.ledger.accounts().accepted == 6
 
 
@@ -174,7 +187,7 @@ def test_off_policy_no_segment_is_too_old_and_actors_are_held_back_while_learnin
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     run = _Run(tmp_path, max_policy_lag=None, clock="async")
-    run.ingest.begin(make_notice(generation=2, version=500, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=500, quota_steps=4), QUOTA, 2)
     run.join("a")
     first = run.ingest.segment(_segment(seq=0, weights_version=1))
     assert (first.verdict, first.wait_s) == ("accepted", 0.0)
@@ -203,7 +216,7 @@ def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota
 def test_whole_episodes_are_waited_for(tmp_path: Path, make_notice: MakeNotice) -> None:
     run = _Run(tmp_path)
     notice = make_notice(generation=2, version=5, quota_steps=4, quota_episodes=2)
-    run.ingest.begin(notice, 8)
+    run.ingest.begin(notice, QUOTA, 2)
     run.join("a")
     run.ingest.segment(_segment(seq=0, terminated=True))
     run.ingest.segment(_segment(seq=1))
@@ -217,7 +230,9 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
 ) -> None:
     """Five episodes of 8 where a batch has 8 steps: an async learner would take four."""
     run = _Run(tmp_path)
-    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), 8)
+    run.ingest.begin(
+        make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), Quota(8, 4, 0), 2
+    )
     run.join("a")
     acks = [run.ingest.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
     assert [ack.verdict for ack in acks] == ["accepted"] * 5
@@ -287,7 +302,9 @@ def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
 def test_a_recovery_forgets_what_waits(run: _Run, make_notice: MakeNotice) -> None:
     run.join("a")
     run.ingest.segment(_segment(seq=0))
-    run.ingest.begin(make_notice(generation=2, version=6, epoch=1, quota_steps=4), 8)
+    run.ingest.begin(
+        make_notice(generation=2, version=6, epoch=1, quota_steps=4), Quota(8, 4, 0), 2
+    )
     run.ingest.segment(_segment(seq=1, weights_version=6, epoch=1))
     assert [arrival.seq for arrival in run.batch()] == [1]
 
@@ -297,7 +314,7 @@ def test_async_batches_are_counted_in_steps_and_hold_actors_back(
 ) -> None:
     """Batches of 8: held back when one waits, taken no more when four do."""
     run = _Run(tmp_path, clock="async")
-    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     run.join("a")
     acks = [run.ingest.segment(_segment(seq=seq)) for seq in range(10)]
     assert [ack.wait_s > 0 for ack in acks] == [False] + [True] * 9
@@ -340,7 +357,7 @@ def test_the_first_batch_waits_for_all_actors_that_are_expected(
 ) -> None:
     """Later ones do not: two actors with two environments each are expected, one plays on."""
     run = _Run(tmp_path, n=2)
-    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), 8)
+    run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     assert run.ingest.num_envs == 4
     run.join("a")
     run.ingest.segment(_segment("a"))

@@ -98,12 +98,13 @@ def test_its_state_goes_through_a_checkpoint(inserts: int, samples: int, more: i
     first.inserts, first.samples = inserts, samples
     first.may_insert()
     first.may_sample()
-    state = first.state()
+    state = first.state(inserts)
     again.load(state, inserts)
-    assert again.state() == state
+    assert again.state(inserts) == state
     first.count_insert(more)
+    assert first.state(inserts) == state
     again.load(state, inserts + more)
-    assert again.state() == first.state()
+    assert again.state(again.inserts) == first.state(first.inserts)
     with pytest.raises(RunDirectoryError, match="found no usable 'error'"):
         again.load({"inserts": 3}, 3)
 
@@ -113,9 +114,9 @@ def test_after_a_checkpoint_another_ratio_holds_for_what_is_inserted_since() -> 
     before, after = (Limiter(r, 100, 400.0, segment_steps=10, batch_size=10) for r in (10.0, 5.0))
     before.inserts, before.samples = 5_000, 48_900
     assert before.error == 100.0
-    after.load(before.state(), 5_020)
+    after.load(before.state(5_000), 5_020)
     assert after.error == 100.0 + 20 * 5.0
-    before.load(before.state(), 0)
+    before.load(before.state(5_000), 0)
     assert not before.may_sample()
     before.count_insert(102)
     assert before.may_sample()

@@ -80,6 +80,6 @@ def test_resuming_without_one_says_so(tmp_path: Path) -> None:
 def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
     path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
     text = (path / "state.json").read_text()
-    (path / "state.json").write_text(text.replace('"format": 4', '"format": 3'))
-    with pytest.raises(RunDirectoryError, match="found format 3, expected 4; another version"):
+    (path / "state.json").write_text(text.replace('"format": 5', '"format": 4'))
+    with pytest.raises(RunDirectoryError, match="found format 4, expected 5; another version"):
         checkpoint.load(tmp_path, kind="k")

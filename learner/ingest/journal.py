@@ -1,0 +1,188 @@
+"""The segments accepted since a checkpoint: a learner that was killed learns from them again.
+
+Records follow each other through numbered files of a folder. A checkpoint holds the place from
+which on they are not learned from yet; see docs/run-directory.md.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from a2s.learner.ingest.store import Quota
+from a2s.protocol.codec import decode, encode
+from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
+from a2s.protocol.messages import Segment
+
+_HEAD = struct.Struct("<cII")  # kind, bytes of the body, CRC-32 of kind and body
+_SEGMENT, _ROUND, _BATCH = b"S", b"R", b"B"
+_SLOT, _OF_ROUND, _OF_BATCH = struct.Struct("<i"), struct.Struct("<6q"), struct.Struct("<q")
+_MAX_KEPT = 4  # files: of the three newest checkpoints, and what waited at the oldest
+
+
+class Place(NamedTuple):
+    """The end of a batch: bytes of a numbered file, and the ledger's accepted steps by then."""
+
+    file: int = 0
+    end: int = 0
+    accepted_steps: int = 0
+
+
+class Stored(NamedTuple):
+    """An accepted segment, of the actor at a place."""
+
+    slot: int
+    segment: Segment
+
+
+class Begun(NamedTuple):
+    """Weights are out for a number of environments, with their quota."""
+
+    version: int
+    epoch: int
+    num_envs: int
+    quota: Quota
+
+
+class Taken(NamedTuple):
+    """All segments so far are a batch."""
+
+    end: Place
+
+
+Record = Stored | Begun | Taken
+
+
+class Journal:
+    """Appends to the newest file of a folder; what was appended survives the death of this process.
+
+    ``accepted_steps`` are those of the ledger now.
+
+    Attributes:
+        folder: Where its files are.
+        place: The end of the newest batch.
+
+    Raises:
+        RunDirectoryError: The folder cannot be made or read.
+    """
+
+    def __init__(self, folder: Path, accepted_steps: int = 0) -> None:
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._open(max(self._numbers(), default=0))
+        except OSError as error:
+            raise self._failure(error) from None
+        self.place = Place(self._number, self._size, accepted_steps)
+
+    def segment(self, slot: int, segment: Segment) -> None:
+        """Write an accepted segment down.
+
+        Raises:
+            RunDirectoryError: There is no room for it; so do the others.
+        """
+        self._append(_SEGMENT, _SLOT.pack(slot) + encode(segment))
+
+    def begin(self, begun: Begun) -> None:
+        """Weights are out."""
+        *of_weights, quota = begun
+        self._append(_ROUND, _OF_ROUND.pack(*of_weights, *quota))
+
+    def take(self, accepted_steps: int) -> None:
+        """All that was written is a batch."""
+        self._append(_BATCH, _OF_BATCH.pack(accepted_steps))
+        self.place = Place(self._number, self._size, accepted_steps)
+
+    def roll(self) -> None:
+        """Begin a file, and delete those that no checkpoint needs: the newest is whole now."""
+        full = self._file
+        try:
+            self._open(self._number + 1)
+            os.close(full)
+            for number in self._numbers()[:-_MAX_KEPT]:
+                self._path(number).unlink()
+        except OSError as error:
+            raise self._failure(error) from None
+
+    def has(self, place: Place) -> bool:
+        """Whether the records from a place on are there."""
+        path = self._path(place.file)
+        return path.exists() and path.stat().st_size >= place.end
+
+    def read(self, place: Place) -> Iterator[Record]:
+        """Yield the records after a place; one torn by a kill, at the very end, is cut.
+
+        Raises:
+            RunDirectoryError: A record is damaged.
+        """
+        for number in [each for each in self._numbers() if each >= place.file]:
+            begin = place.end if number == place.file else 0
+            data = self._path(number).read_bytes()
+            while begin < len(data):
+                end, record = _record(data, begin, number)
+                if record is None:
+                    if end < len(data) or number < self._number:
+                        raise RunDirectoryError(
+                            f"{self._path(number)}: the checksum of the record at byte {begin} "
+                            f"does not match; {self.advice}"
+                        )
+                    os.ftruncate(self._file, begin)
+                    self._size = begin
+                    break
+                yield record
+                begin = end
+
+    @property
+    def advice(self) -> str:
+        """How to go on without it."""
+        return f"delete {self.folder} to go on from the checkpoint, without the steps since then"
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+    def _append(self, kind: bytes, body: bytes) -> None:
+        head = _HEAD.pack(kind, len(body), zlib.crc32(body, zlib.crc32(kind)))
+        data, done = head + body, 0
+        try:
+            while done < len(data):
+                done += os.pwrite(self._file, data[done:], self._size + done)
+        except OSError as error:
+            raise self._failure(error) from None
+        self._size += done
+
+    def _open(self, number: int) -> None:
+        self._file = os.open(self._path(number), os.O_WRONLY | os.O_CREAT, 0o644)
+        self._number, self._size = number, os.fstat(self._file).st_size
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{number:08d}"
+
+    def _numbers(self) -> list[int]:
+        return sorted(int(path.name) for path in self.folder.glob("[0-9]*"))
+
+    def _failure(self, error: OSError) -> RunDirectoryError:
+        return RunDirectoryError(f"{self.folder}: {error.strerror}; mend that and resume")
+
+
+def _record(data: bytes, begin: int, number: int) -> tuple[int, Record | None]:
+    """Read the record at a byte of a file: its end, and ``None`` if it is torn or damaged."""
+    if begin + _HEAD.size > len(data):
+        return len(data), None
+    kind, size, crc = _HEAD.unpack_from(data, begin)
+    end = begin + _HEAD.size + size
+    body = data[begin + _HEAD.size : end]
+    if len(body) < size or zlib.crc32(body, zlib.crc32(kind)) != crc:
+        return min(end, len(data)), None
+    try:
+        if kind == _SEGMENT:
+            (slot,) = _SLOT.unpack_from(body)
+            return end, Stored(slot, decode(body[_SLOT.size :], Segment))
+        if kind == _ROUND:
+            version, epoch, num_envs, *quota = _OF_ROUND.unpack(body)
+            return end, Begun(version, epoch, num_envs, Quota(*quota))
+        return end, Taken(Place(number, end, *_OF_BATCH.unpack(body)))
+    except (struct.error, MalformedMessageError):
+        return end, None

@@ -1,0 +1,77 @@
+"""A feed of the journal: the batches that were taken since a checkpoint, once more."""
+
+import logging
+from collections.abc import Callable, Sequence
+
+from a2s.learner.feed import Arrival, Feed
+from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken
+from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.left_over import LeftOver
+from a2s.learner.ingest.store import Store
+from a2s.protocol.errors import RunDirectoryError
+
+logger = logging.getLogger(__name__)
+
+
+def read_again(journal: Journal, place: Place, ledger: Ledger) -> list[Record]:
+    """Read what was accepted since a place; what the ledger has lost is written into it.
+
+    Raises:
+        RunDirectoryError: The journal is damaged, or the ledger knows more than it.
+    """
+    records = list(journal.read(place))
+    stored = [record for record in records if isinstance(record, Stored)]
+    unknown = [s for _, s in stored if not ledger.knows(s.actor, s.seq)]
+    for segment in unknown:
+        ledger.record(segment.actor, segment.seq, "accepted", segment.num_steps)
+    expected = place.accepted_steps + sum(segment.num_steps for _, segment in stored)
+    if ledger.accepted_steps > expected:
+        lost = ledger.accepted_steps - expected
+        raise RunDirectoryError(
+            f"{journal.folder}: {lost} steps fewer than in segments.log; {journal.advice}"
+        )
+    if ledger.accepted_steps < expected:
+        lost = expected - ledger.accepted_steps
+        logger.warning("segments.log: %d steps fewer than were learned from; going on", lost)
+    return records
+
+
+class JournalFeed(Feed):
+    """Stores the segments of the journal and gives their batches, in the order of then.
+
+    Attributes:
+        left_over: What is in the store and was not taken, once there is no batch any more.
+    """
+
+    def __init__(self, journal: Journal, records: Sequence[Record], store: Store) -> None:
+        self._journal, self._records, self._store = journal, iter(records), store
+        self.left_over = LeftOver()
+
+    def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
+        """Nobody plays, but whoever makes the graph notes its version."""
+        make_graph(version)
+
+    def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
+        """Store up to the end of the next batch; empty if there is none, or if that is ended."""
+        if not proceed(""):
+            return []
+        for record in self._records:
+            match record:
+                case Stored(slot, segment):
+                    self._store.store(slot, segment)
+                    self.left_over.stored.append(record)
+                case Begun(_, epoch, num_envs):
+                    self.left_over.begun = record
+                    self._store.quota(num_envs)
+                    if any(segment.epoch != epoch for _, segment in self.left_over.stored):
+                        self._take()
+                case Taken(end):
+                    self._journal.place = end
+                    return self._take()
+        return []
+
+    def _take(self) -> list[Arrival]:
+        self._store.close_batch()
+        arrivals = self.left_over.arrivals
+        self.left_over.stored.clear()
+        return sorted(arrivals, key=lambda arrival: arrival[:3])

@@ -1,0 +1,74 @@
+"""A learner that was killed and resumed learns what it would have learned, to the bit."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scripted_actors import Script
+
+SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}
+ON_POLICY = {
+    **SMALL, "batch_steps": 64, "first_batch_steps": 32, "window_steps": 256, "q_steps": 4,
+    "policy_epochs": 2, "critic_epochs": 2,
+}  # fmt: skip
+OFF_POLICY = {
+    "warm_up_steps": 16, "batch_rows": 8, "send_every_steps": 4, "replay_rows": 1000,
+    "policy_sizes": (16,), "critic_sizes": (16,), "num_quantiles": 3, "quantiles_to_drop": 1,
+    "average_updates": 10,
+}  # fmt: skip
+WAYS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "lockstep": ({"total_steps": 1200, "checkpoint_every_updates": 5}, ON_POLICY),
+    "lag of 1": (
+        {"total_steps": 1200, "checkpoint_every_updates": 5},
+        {**ON_POLICY, "act_while_learning": True},
+    ),
+    "async": ({"total_steps": 1200, "checkpoint_every_updates": 5, "clock": "async"}, ON_POLICY),
+    "off-policy": (
+        {"variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30},
+        OFF_POLICY,
+    ),
+    "off-policy lockstep": (
+        {
+            "variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30,
+            "clock": "lockstep",
+        },
+        OFF_POLICY,
+    ),
+}  # fmt: skip
+KILLS = {"once": (37,), "often": (5, 33, 35, 62)}
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return [{k: v for k, v in row.items() if k != "wall_s"} for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, dict[str, Any]]]:
+    """Every way of learning, without a kill: its directory and its summary."""
+    found = {}
+    for way, (options, settings) in WAYS.items():
+        path = tmp_path_factory.mktemp("undisturbed") / "run"
+        found[way] = path, Script(path, options, settings).run()
+    return found
+
+
+@pytest.mark.parametrize("kills", KILLS)
+@pytest.mark.parametrize("way", WAYS)
+def test_kill_and_resume_equal_no_kill(
+    way: str,
+    kills: str,
+    tmp_path: Path,
+    undisturbed: dict[str, tuple[Path, dict[str, Any]]],
+) -> None:
+    """Weights, accounts, episodes and updates; whatever the moment, and however often."""
+    before, expected = undisturbed[way]
+    path, (options, settings) = tmp_path / "run", WAYS[way]
+    found = Script(path, options, settings, kill_at=KILLS[kills]).run()
+    assert found["weights_sha256"] == expected["weights_sha256"]
+    for name in ("env_steps", "updates", "episodes", "return_mean_last_10", "recoveries"):
+        assert found[name] == expected[name]
+    assert found["segments"]["accepted"] == expected["segments"]["accepted"]
+    for name in ("updates.csv", "episodes.csv"):
+        assert _table(path / name) == _table(before / name)

@@ -1,0 +1,142 @@
+"""Actors that play from a script, in the process of the learner, which may be killed at any send.
+
+A learner publishes, its actors send, and only then does the learner go on: nothing depends on time.
+What a kill leaves is a copy of the files at that moment.
+"""
+
+import io
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from a2s.learner.make import make_learner
+from a2s.learner.run.config import assemble
+from a2s.learner.run.metrics import LearnerMetrics
+from a2s.learner.run.progress import PlainView
+from a2s.protocol.codec import decode, encode
+from a2s.protocol.fields import Spaces
+from a2s.protocol.in_process import Exchange, InProcessBus
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import Ack, Hello, Notice, Segment, Welcome
+
+SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
+ENVS, PIECES = 2, 2
+
+
+class Killed(BaseException):
+    """The learner is gone; nothing catches this."""
+
+
+class ScriptedActor:
+    """Sends, for every version, the same segments: of two environments, two pieces each.
+
+    It outlives learners: what one has accepted is not sent to the next. ``before_send`` is called
+    with the number of segments that were sent.
+    """
+
+    def __init__(self, slot: int, before_send: Callable[[], None]) -> None:
+        self._slot, self._before_send = slot, before_send
+        self._done = set[tuple[int, int, int]]()
+        self._seq, self._generation = 0, 0
+
+    def connect(self, exchange: Exchange) -> None:
+        """Find a learner there, as soon as there is one."""
+        self._bus, self._keys = InProcessBus(exchange), Keys("default")
+        self._bus.subscribe(self._keys.notice, lambda payload: self._play(decode(payload, Notice)))
+        self._bus.watch_presence(self._keys.live_learner, lambda _, here: self._join(here))
+
+    def _join(self, here: bool) -> None:
+        if here:
+            hello = Hello(
+                actor=f"actor-{self._slot}", num_envs=ENVS, env_id="Test-v0", spaces=SPACES,
+                slot=self._slot,
+            )  # fmt: skip
+            answer = self._bus.ask(self._keys.hello, encode(hello), 1.0)
+            assert answer is not None
+            self._generation = decode(answer, Welcome).generation
+
+    def _play(self, notice: Notice) -> None:
+        for env in range(ENVS):
+            for piece in range(PIECES):
+                part = (notice.version, env, piece)
+                if part not in self._done:
+                    self._before_send()
+                    self._send(notice, env, piece)
+                    self._done.add(part)
+
+    def _send(self, notice: Notice, env: int, piece: int) -> None:
+        steps = -(-notice.quota_steps // PIECES)
+        rng = np.random.default_rng([self._slot, notice.version, env, piece])
+        suggestion = rng.uniform(-1, 1, (steps, 1)).astype(np.float32)
+        segment = Segment(
+            actor=f"actor-{self._slot}", seq=self._seq, generation=self._generation,
+            epoch=notice.epoch, weights_version=notice.version, env=env, suggestion=suggestion,
+            obs=rng.standard_normal((steps, 2)).astype(np.float32),
+            log_prob=np.full(steps, -1.0, np.float32), reward=1 - abs(suggestion[:, 0] - 0.6),
+            final_obs=rng.standard_normal(2).astype(np.float32), terminated=piece == 1,
+            truncated=False, episode_return=float(rng.uniform(0, 9)), episode_length=2 * steps,
+        )  # fmt: skip
+        self._seq += 1
+        answer = self._bus.ask(self._keys.segment, encode(segment), 1.0)
+        assert answer is not None
+        ack = decode(answer, Ack)
+        assert ack.verdict in ("accepted", "duplicate"), ack
+
+
+class Script:
+    """A run of two scripted actors; ``settings`` are of the run and of the algorithm.
+
+    ``kill_at`` are numbers of segments before which the learner is killed.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        options: Mapping[str, Any],
+        settings: Mapping[str, Any],
+        *,
+        kill_at: tuple[int, ...] = (),
+        actors: int = 2,
+    ) -> None:
+        self._path, self._options, self._settings = path, options, settings
+        self._kill_at, self._sent, self._left = kill_at, 0, path.with_name("left")
+        self._actors = [ScriptedActor(slot, self._before_send) for slot in range(actors)]
+        self.updates_at_kill: list[int] = []
+
+    def run(self) -> dict[str, Any]:
+        """Learn to the end, however often that is interrupted; the last learner's summary."""
+        resume = False
+        self._path.mkdir()
+        while True:
+            try:
+                return self._learn(resume)
+            except Killed:
+                shutil.rmtree(self._path)
+                self._left.rename(self._path)
+                resume = True
+
+    def _before_send(self) -> None:
+        self._sent += 1
+        if self._sent in self._kill_at:
+            shutil.copytree(self._path, self._left)
+            raise Killed
+
+    def _learn(self, resume: bool) -> dict[str, Any]:
+        exchange = Exchange()
+        for actor in self._actors:
+            actor.connect(exchange)
+        options = {"env": "Test-v0", "n": len(self._actors), "envs": ENVS, **self._options}
+        learner = make_learner(
+            configuration=assemble(options, self._settings),
+            spaces=SPACES,
+            layout=(),
+            bus=InProcessBus(exchange),
+            path=self._path,
+            metrics=LearnerMetrics(),
+            view=PlainView(io.StringIO()),
+            resume=resume,
+        )
+        return learner.run(lambda: False)
