@@ -9,7 +9,7 @@ ARGS ?=
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 300000
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-fast test-all test-external check format docs build clean
+.PHONY: help setup train test test-fast test-all test-external check format docs site build clean
 
 help: ## Show this
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
@@ -56,8 +56,13 @@ format: setup ## Format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: setup ## Write docs/hyperparameters.md from the code
+docs: setup ## Write docs/hyperparameters.md and docs/commands.md from the code
 	$(BIN)/python -m a2s.learner.run.tables > docs/hyperparameters.md
+	$(BIN)/python docs/build_commands.py > docs/commands.md
+
+site: setup ## Build the documentation as a site in build/site; a broken link is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open build/site/index.html"
 
 build: setup ## Build wheel and sdist, and try the wheel in an environment of its own
 	$(BIN)/python -m build --outdir dist .
