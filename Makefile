@@ -61,7 +61,7 @@ docs: setup ## Write docs/hyperparameters.md and docs/commands.md from the code
 	$(BIN)/python docs/build_commands.py > docs/commands.md
 
 site: setup ## Build the documentation as a site in build/site; a broken link is an error
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "open build/site/index.html"
 
 build: setup ## Build wheel and sdist, and try the wheel in an environment of its own

@@ -15,9 +15,12 @@ _LOADED = re.compile(r"""<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=["']?(
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build it as `make site` does: a broken link or a page that no menu has is an error."""
+    """Build it as `make site` does: a broken link or a page that no menu has is an error.
+
+    With `--quiet` it would not be: warnings that are not written are not counted.
+    """
     place = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(place)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", str(place)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(
         command, cwd=doc_pages.ROOT, env=environment, capture_output=True, text=True, check=False
