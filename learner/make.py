@@ -23,6 +23,7 @@ from a2s.learner.off_policy_trainer import AnyReplay, OffPolicyTrainer
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.other_replay import OtherReplay, ReplayFeed
 from a2s.learner.own_replay import OwnReplay
+from a2s.learner.prior import open_prior
 from a2s.learner.replay.remote import ServedReplay
 from a2s.learner.run import checkpoint, saver
 from a2s.learner.run.config import Configuration
@@ -195,13 +196,18 @@ def make_off_policy(
     What the replay got since it was ``saved`` comes ``again``, or stays.
 
     Raises:
-        RunDirectoryError: The replay cannot be made or opened, or what was saved does not fit.
+        RunDirectoryError: The replay cannot be made or opened, or what was saved or the prior data
+            do not fit.
         UsageError: The hyperparameters contradict each other.
     """
     algorithm, updates = _off_policy(run, spaces, hyper, saved)
+    state = saved[1] if saved else None
+    prior = open_prior(run, spaces, hyper.batch_rows, state)
+    if prior is not None:
+        logger.warning("%s", prior)
     replay = OwnReplay(
-        path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics,
-        saved[1] if saved else None, again=again,
+        path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics, state, prior,
+        again=again,
     )  # fmt: skip
     trainer = OffPolicyTrainer(algorithm, replay, spaces, metadata, metrics, updates)
     return trainer, replay

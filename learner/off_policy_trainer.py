@@ -14,6 +14,7 @@ from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
+from a2s.learner.prior import Prior
 from a2s.learner.replay import sampling
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.replay import Replay
@@ -32,22 +33,38 @@ AnyReplay = Replay | RemoteReplay
 
 
 def draw_batch(
-    replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Generator
+    replay: AnyReplay,
+    hyper: OffPolicyConfig,
+    rng: np.random.Generator,
+    prior: Prior | None = None,
 ) -> sampling.Transitions:
-    """Draw the batch of an update."""
-    return replay.sample(
-        hyper.batch_rows,
+    """Draw the batch of an update; the rows of ``prior`` are the last ones."""
+    own = replay.sample(
+        hyper.batch_rows - (prior.rows if prior else 0),
         rng,
         n_step=hyper.n_step,
         gamma=hyper.gamma,
         prioritised=hyper.prioritised,
         beta=hyper.importance_exponent,
     )
+    if prior is None:
+        return own
+    return sampling.joined(own, prior.sample(rng, n_step=hyper.n_step, gamma=hyper.gamma))
 
 
-def draw_returns(replay: AnyReplay, hyper: OffPolicyConfig, rng: np.random.Generator) -> Array:
+def draw_returns(
+    replay: AnyReplay,
+    hyper: OffPolicyConfig,
+    rng: np.random.Generator,
+    prior: Prior | None = None,
+) -> Array:
     """Draw discounted returns, over as many steps as any replay adds up: float32 ``[B]``."""
-    return replay.sample(hyper.batch_rows, rng, n_step=MAX_STEPS, gamma=hyper.gamma).reward
+    rows = hyper.batch_rows - (prior.rows if prior else 0)
+    own = replay.sample(rows, rng, n_step=MAX_STEPS, gamma=hyper.gamma)
+    if prior is None:
+        return own.reward
+    drawn = prior.sample(rng, n_step=MAX_STEPS, gamma=hyper.gamma)
+    return np.concatenate([own.reward, drawn.reward])
 
 
 class Source(Protocol):

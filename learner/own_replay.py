@@ -13,6 +13,7 @@ from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import draw_batch, draw_returns
+from a2s.learner.prior import Prior
 from a2s.learner.replay import directory, files
 from a2s.learner.replay.limiter import Limiter
 from a2s.learner.replay.replay import Replay
@@ -32,7 +33,7 @@ class OwnReplay:
 
     ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
     that had not been learned from by then are taken back if they come ``again``, else they belong
-    to the next batch. ``replay`` has the rows.
+    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
@@ -53,10 +54,11 @@ class OwnReplay:
         ledger: Ledger,
         metrics: LearnerMetrics,
         saved: Mapping[str, Any] | None = None,
+        prior: Prior | None = None,
         *,
         again: bool = False,
     ) -> None:
-        self._hyper, self._metrics = hyper, metrics
+        self._hyper, self._metrics, self._prior = hyper, metrics, prior
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
         samples_per_step = hyper.utd_ratio * hyper.batch_rows
         self._limiter = Limiter(
@@ -121,9 +123,12 @@ class OwnReplay:
     # For the trainer.
 
     def new_obs(self, updates: int) -> Array:
-        """Observations of the rows of this batch."""
-        self._num_learned = self._num_closed
-        return self._new_obs
+        """Observations of the rows of this batch, and as many prior ones as belong to them."""
+        learned, self._num_learned = self._num_learned, self._num_closed
+        if self._prior is None:
+            return self._new_obs
+        beside = self._prior.obs_beside(learned, self._num_closed, self._rng)
+        return np.concatenate([self._new_obs, beside])
 
     def may_update(self, updates: int, made: int) -> bool:
         """Whether one is due for the rows of this batch.
@@ -134,16 +139,16 @@ class OwnReplay:
 
     def draw_returns(self, updates: int) -> Array:
         """Draw discounted returns."""
-        return draw_returns(self.replay, self._hyper, self._rng)
+        return draw_returns(self.replay, self._hyper, self._rng, self._prior)
 
     def draw(self, updates: int) -> Transitions:
         """Draw the batch of an update."""
-        return draw_batch(self.replay, self._hyper, self._rng)
+        return draw_batch(self.replay, self._hyper, self._rng, self._prior)
 
     def learned(self, row: Rows, error: Tensor) -> None:
         """Count the batch, and let errors become priorities where they count."""
         if self._hyper.prioritised:
-            self.replay.update_priorities(row, error.cpu().numpy())
+            self.replay.update_priorities(row, error[: len(row)].cpu().numpy())
         self._limiter.count_sample()
 
     def end_round(self, made: int, update_s: float) -> Mapping[str, object]:
@@ -160,11 +165,14 @@ class OwnReplay:
             "limiter": self._limiter.state(self._num_learned),
             "highest_priority": self.replay.highest_priority,
             "rng": self._rng.bit_generator.state,
+            "prior": self._prior.identity if self._prior else "",
         }
 
     def close(self) -> None:
         """Close the files."""
         self.replay.close()
+        if self._prior is not None:
+            self._prior.close()
 
     @property
     def _max_updates(self) -> int:
@@ -194,19 +202,19 @@ def _open(
     again: bool,
 ) -> Replay:
     """Open the replay that is there, given the wanted capacity; else make one."""
-    alpha = hyper.priority_exponent
-    sizes = {"capacity": hyper.replay_rows, "batch_size": hyper.batch_rows}
+    alpha, capacity, batch_size = hyper.priority_exponent, hyper.replay_rows, hyper.batch_rows
     if not (path / files.NAME).exists():
         if num_learned:
             logger.warning("replay %s: is not there any more, another is begun", path)
-        return directory.create(path, env_id, spaces, alpha=alpha, **sizes)
+        return directory.create(path, env_id, spaces, capacity, batch_size=batch_size, alpha=alpha)
     return directory.open_existing(
         path,
         env_id=env_id,
         spaces=spaces,
+        capacity=capacity,
+        batch_size=batch_size,
         is_known=ledger.knows,
         least_rows=num_learned,
         most_rows=num_learned if again else None,
         alpha=alpha,
-        **sizes,
     )

@@ -88,7 +88,7 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
         raise UsageError(
             f"environment {env_id}: found actions {space}; supported is Box: {instead}"
         )
-    low, high = _inwards(space.low.ravel(), np.inf), _inwards(space.high.ravel(), -np.inf)
+    low, high = bounds_of(space)
     for index, (a, b) in enumerate(zip(space.low.ravel(), space.high.ravel(), strict=True)):
         span = f"environment {env_id}: action {index} has bounds {a:g} to {b:g}"
         if not (np.isfinite(a) and np.isfinite(b)):
@@ -106,6 +106,11 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
                 "out in a --wrapper module:Class"
             )
     return low, high
+
+
+def bounds_of(space: spaces.Box) -> tuple[Array, Array]:
+    """Give the bounds of flat actions in float32: where that cannot be exact, within its own."""
+    return _inwards(space.low.ravel(), np.inf), _inwards(space.high.ravel(), -np.inf)
 
 
 def _inwards(bounds: npt.NDArray[Any], direction: float) -> Array:

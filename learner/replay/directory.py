@@ -31,18 +31,20 @@ def create(
     *,
     batch_size: int = 1,
     alpha: float = 0.6,
+    source: str = "",
 ) -> Replay:
     """Make a replay; its room on the disk is taken now.
 
     It keeps the newest ``capacity`` transitions, which must be enough for the largest batch;
-    ``alpha`` is the exponent of the priorities.
+    ``alpha`` is the exponent of the priorities, ``source`` where the transitions come from, if not
+    from a run of its own.
 
     Raises:
         UsageError: The capacity is below one batch.
         RunDirectoryError: A replay exists already, or room or permission is missing.
     """
     _require_capacity(capacity, batch_size)
-    about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=1)
+    about = Description(env_id=env_id, spaces=spaces, capacity=capacity, files=1, source=source)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

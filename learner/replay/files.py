@@ -29,12 +29,22 @@ FloatMap = np.memmap[tuple[int, ...], np.dtype[np.float32]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Description:
-    """The contents of ``replay.json``; ``files`` is the number in the names of the other files."""
+    """The contents of ``replay.json``.
+
+    ``files`` is the number in the names of the other files; ``source`` says where the transitions
+    were imported from, and is empty for those of a run.
+    """
 
     env_id: str
     spaces: Spaces
     capacity: int
     files: int
+    source: str = ""
+
+    @property
+    def index_name(self) -> str:
+        """Name of the file of records."""
+        return f"index-{self.files}.log"
 
     def write(self, path: Path) -> None:
         """Write it into a directory."""
@@ -48,12 +58,14 @@ class Description:
             "obs_offset": None if offset is None else offset.tolist(),
             "capacity": self.capacity,
             "files": self.files,
+            "source": self.source,
         }
         write_atomically(path / NAME, json.dumps(document, indent=2).encode())
 
-    def require(self, path: Path, env_id: str, spaces: Spaces) -> None:
+    def require(
+        self, path: Path, env_id: str, spaces: Spaces, advice: str = "name another run directory"
+    ) -> None:
         """Raise RunDirectoryError if the transitions are of another environment."""
-        advice = "name another run directory"
         if self.env_id != env_id:
             raise RunDirectoryError(
                 f"replay {path}: found environment {self.env_id}, expected {env_id}; {advice}"
@@ -86,6 +98,7 @@ def describe(path: Path) -> Description:
             ),
             capacity=int(document["capacity"]),
             files=int(document["files"]),
+            source=str(document.get("source", "")),
         )
     except FileNotFoundError:
         raise RunDirectoryError(f"{path}: holds no replay, it has no {NAME}") from None
@@ -116,7 +129,7 @@ class Files:
         self._path = path
         self._number = about.files
         self._maps: list[FloatMap] = []
-        self.index_path = path / f"index-{about.files}.log"
+        self.index_path = path / about.index_name
         self.index: Index | None = None
         self.lock_file = -1
 
@@ -195,7 +208,8 @@ def locked(path: Path, *, to_read: bool = False) -> Iterator[int]:
             fcntl.flock(file, kind | fcntl.LOCK_NB)
         except OSError:
             raise RunDirectoryError(
-                f"replay {path}: a learner writes to it; name its run, with --connect, instead"
+                f"replay {path}: a learner writes to it; name its run, with --connect, instead, or "
+                "stop it first"
                 if to_read
                 else f"replay {path}: another learner writes to it, or learns from it; "
                 "stop that first"

@@ -4,7 +4,7 @@ Source: Schaul et al. 2016, "Prioritized Experience Replay" (arXiv:1511.05952), 
 3.4, proportional variant. Differs: weights are divided by the highest of the batch.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,6 +47,22 @@ class Transitions:
     row: Rows
     begin: int
     end: int
+
+
+def joined(first: Transitions, second: Transitions) -> Transitions:
+    """Put the transitions of two replays below each other; ``row`` and its range are the first's.
+
+    So ``row``, int64 ``[B1]``, is shorter than the other columns, ``[B1 + B2, ...]``.
+    """
+    return replace(
+        first,
+        obs=np.concatenate([first.obs, second.obs]),
+        action=np.concatenate([first.action, second.action]),
+        reward=np.concatenate([first.reward, second.reward]),
+        next_obs=np.concatenate([first.next_obs, second.next_obs]),
+        discount=np.concatenate([first.discount, second.discount]),
+        weight=np.concatenate([first.weight, second.weight]),
+    )
 
 
 def draw_uniform(ring: Ring, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Array]:

@@ -15,6 +15,8 @@ Variant = Literal["on-policy", "off-policy"]
 Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
 
+_HALF = 0.5
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig(Settings):
@@ -44,6 +46,10 @@ class RunConfig(Settings):
     seed: int = setting(0, "Seed of everything", low=0, high=2**63 - 1)
     clock: Clock = setting("lockstep", "lockstep: one version, one batch; async: actors never wait")
     init_from: str = setting("", "Run directory whose weights it begins with, as far as they fit")
+    prior: str = setting("", "Directory of prior data, of which every batch has a share")
+    prior_share: float = setting(
+        _HALF, "Share of a batch that is prior data; RLPD: half", low=0.01, high=0.99
+    )
     n: int = setting(1, "Actor processes that the first weights wait for", low=1)
     envs: int = setting(8, "Environments in each actor process", low=1, high=4096)
     checkpoint_every_updates: int = setting(20, "Updates between checkpoints", low=1)
@@ -68,6 +74,13 @@ class RunConfig(Settings):
         self.env_config()
         if self.stop_at_return < math.inf and not self.evaluate_every:
             raise UsageError("stop_at_return: only evaluations are looked at; add --evaluate-every")
+        if self.prior and self.variant != "off-policy":
+            raise UsageError(
+                f"prior: found {self.prior}, expected none with variant {self.variant}; "
+                "add --variant off-policy"
+            )
+        if self.prior_share != _HALF and not self.prior:
+            raise UsageError("prior_share: there are no prior data to draw from; add --prior")
         name, only = ("algo", "a2s") if self.variant == "off-policy" else ("device", "cpu")
         if (found := getattr(self, name)) != only:
             raise UsageError(f"{name}: found {found}, expected {only} with variant {self.variant}")

@@ -44,6 +44,8 @@ RUN: Group = {  # in the order of the help
     "suggestions": options.Suggestions,
     "recovery": options.Recovery,
     "lockstep": options.Lockstep,
+    "prior": options.Prior,
+    "prior_share": options.PriorShare,
     "n": options.N,
     "threads": options.Threads,
     "device": options.Device,

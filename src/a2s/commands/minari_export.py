@@ -1,4 +1,4 @@
-"""Writes a Minari data set; only this file knows Minari."""
+"""Writes a Minari data set; only this file and `minari_import` know Minari."""
 
 import copy
 import importlib
@@ -43,8 +43,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
         RunDirectoryError: There is no replay, or it is damaged.
         A2SError: The data set cannot be written, for example for lack of room; it is removed.
     """
-    if any(importlib.util.find_spec(module) is None for module in ("minari", "h5py")):
-        raise UsageError("export needs minari with hdf5; install them: pip install 'a2s[minari]'")
+    require_minari("export")
     import minari
 
     namespace = _namespace_of(dataset_id)
@@ -78,6 +77,14 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
             "left_out": stored.left_out,
             "no_env_spec": no_spec,
         }
+
+
+def require_minari(subject: str) -> None:
+    """Raise a UsageError where Minari is not installed."""
+    if any(importlib.util.find_spec(module) is None for module in ("minari", "h5py")):
+        raise UsageError(
+            f"{subject} needs minari with hdf5; install them: pip install 'a2s[minari]'"
+        )
 
 
 def _buffer(index: int, episode: Episode, spaces: Spaces) -> Any:

@@ -234,6 +234,14 @@ ReplayFrom = Annotated[str | None, option(
     _REPLAY, "--replay-from", metavar="RUN",
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
 )]
+Prior = Annotated[str | None, option(
+    _REPLAY, "--prior", metavar="DIR", parser=_absolute,
+    help="Learn off-policy from these transitions as well: of a2s replay import, or of a run.",
+)]
+PriorShare = Annotated[float | None, option(
+    _REPLAY, "--prior-share", metavar="SHARE", show_default="0.5",
+    help="Share of every batch that is drawn from --prior.",
+)]
 Evaluate = Annotated[bool, option(
     None, "--evaluate", help="Evaluate the newest weights instead of playing for the learner.",
 )]

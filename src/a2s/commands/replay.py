@@ -33,7 +33,8 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
         replay = directory.look_at(stored)
         live = replay.live
         found = _describe(replay.about, live.start, live.stop)
-        return {**found, "torn_records": replay.torn_records}
+        source = {"source": replay.about.source} if replay.about.source else {}
+        return {**found, "torn_records": replay.torn_records, **source}
     with _served(connect, run) as served:
         told = served.info()
     found = _describe(told, told.begin, told.end)

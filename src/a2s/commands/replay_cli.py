@@ -9,7 +9,7 @@ import typer
 from a2s.commands import options
 from a2s.commands.options import option, whole_number
 
-app = typer.Typer(no_args_is_help=True, help="Look into a replay; export it.")
+app = typer.Typer(no_args_is_help=True, help="Look into a replay; export or import one.")
 
 Stored = Annotated[
     Path | None, typer.Argument(help="A run directory, or the replay directory in it.")
@@ -108,3 +108,41 @@ def export(
     )
     if found["no_env_spec"]:
         typer.echo(f"the environment's spec is not kept in it: {found['no_env_spec']}")
+
+
+@app.command("import")
+def import_(
+    source: Annotated[
+        str,
+        typer.Argument(help="A Minari data set, by its name or directory; or a run directory."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="New directory.")],
+    limit: Annotated[
+        int | None,
+        whole_number(
+            None, "--limit", low=1, envvar=None, show_default="all", help="Keep the last N only."
+        ),
+    ] = None,
+    env: Annotated[
+        str | None,
+        option(
+            None,
+            "--env",
+            envvar=None,
+            metavar="ENV",
+            show_default="as it says",
+            help="Name that the run gives to the environment.",
+        ),
+    ] = None,
+    json_: options.Json = False,
+) -> None:
+    r"""Write transitions as prior data, for `a2s train --variant off-policy --prior DIR`.
+
+    Nothing is written where one of them cannot be learned from: every number must be finite, every
+    action within the bounds. Minari data sets need a2s\[minari].
+    """
+    from a2s.commands.replay_import import write
+
+    found = write(source, output, limit, env)
+    line = f"{found['path']}: {found['transitions']:,} transitions of {found['env']} from {source}"
+    typer.echo(json.dumps(found) if json_ else line)

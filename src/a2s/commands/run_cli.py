@@ -35,6 +35,8 @@ def learner(
     if replay_from:
         given["variant"] = given["variant"] or "off-policy"
     configuration, path = _configure(context, given, config, run_dir)
+    if replay_from and configuration.run.prior:
+        raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
     from a2s.commands.learner import Place, learn, learn_from
 
     place = Place(
