@@ -62,6 +62,16 @@ Run = Callable[..., tuple[int, str, str]]
         (["learner", "--variant", "off-policy", "--algo", "a2c"], "algo: found a2c, expected a2s"),
         (["learner", "--variant", "off-policy", "--recovery"], "only on-policy learning has"),
         (["train", "--variant", "off-policy", "--no-recovery"], "only on-policy learning has"),
+        (["learner", "--prior", "x"], "/x, expected none with variant on-policy; add --variant"),
+        (["learner", "--replay-from", "x", "--prior", "y"], "--prior: found with --replay-from"),
+        (
+            ["train", "--variant", "off-policy", "--prior-share", "0.25"],
+            "prior_share: there are no prior data to draw from; add --prior",
+        ),
+        (
+            ["train", "--variant", "off-policy", "--prior", "x", "--prior-share", "1"],
+            "prior_share: found 1.0, expected a number from 0.01 to 0.99",
+        ),
         (["learner", "--config", "missing.toml"], "missing.toml: No such file"),
         (["learner", "--resume"], "found no run 'default'"),
         (["learner", "--resume", "--run-dir", "nowhere"], "nowhere holds no config.toml"),

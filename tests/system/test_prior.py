@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from segments import segment
-from system_helpers import PATIENCE_S, REACH, Start, rows
+from system_helpers import REACH, rows
+from typer.testing import CliRunner
 
+from a2s.cli import app
 from a2s.learner.replay import directory
+from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -39,7 +42,7 @@ def _reached(path: Path) -> None:
 
 
 def test_from_import_to_resume(
-    run_a2s: RunA2S, start: Start, endpoint: str, tmp_path: Path
+    run_a2s: RunA2S, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Updates follow own steps alone; a run that is resumed needs the prior data that it had."""
     _reached(tmp_path / "good")
@@ -53,9 +56,10 @@ def test_from_import_to_resume(
     assert f'prior = "{tmp_path / "prior"}"\nprior_share = 0.5\n' in config
     shutil.move(tmp_path / "prior", tmp_path / "moved")
     learner = ("learner", "--resume", "--run-dir", "r", "--listen", endpoint)
-    refused = start(*learner, "--metrics-port", "-1")
-    assert refused.process.wait(PATIENCE_S) == 1
-    assert f"prior data {tmp_path / 'prior'}: found no replay.json" in refused.text()
+    monkeypatch.chdir(tmp_path)
+    refused = CliRunner().invoke(app, [*learner, "--metrics-port", "-1"])
+    assert isinstance(refused.exception, RunDirectoryError)
+    assert f"prior data {tmp_path / 'prior'}: found no replay.json" in str(refused.exception)
     again = ("--resume", "--run-dir", "r", "--prior", "moved", "--total-steps", "300")
     summary = run_a2s("train", *again, "--metrics-port", "-1", "--episodes", "1")
     assert (summary["finished"], summary["segments"]["refused"]) == (True, 0)
