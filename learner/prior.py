@@ -1,8 +1,8 @@
 """Prior data: transitions of elsewhere, of which every batch has a share.
 
-Source: RLPD (Ball et al. 2023, arXiv:2302.02948), section 4.1: half of a batch from the prior data,
-half from the run's own replay, and no learning before there are own steps. Differs: observations
-and returns are normalised here, by what batches consist of.
+Source: RLPD (Ball et al. 2023, arXiv:2302.02948), symmetric sampling: half of a batch from the
+prior data, half from the run's own replay, and no learning before there are own steps. Differs:
+observations and returns are normalised here, by what batches consist of.
 """
 
 from collections.abc import Mapping

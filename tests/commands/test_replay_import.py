@@ -142,6 +142,8 @@ def test_what_was_exported_to_minari_comes_back_to_the_bit(
                 drawn(path, n_step=n_step) for path in (tmp_path / output, run / "replay")
             )
             assert same(found, expected)
+    again = json.loads(a2s("replay", "export", "two", "again-v0", "--root", "minari", "--json")[1])
+    assert (again["episodes"], again["left_out"]) == (2, 0)
 
 
 def test_actions_come_back_as_they_were_executed(

@@ -48,11 +48,17 @@ def alike(seq: int, value: float, steps: int = 5) -> Segment:
     )  # fmt: skip
 
 
-def stored(path: Path, value: float = PRIOR, spaces: Spaces = SPACES, env_id: str = ENV_ID) -> Path:
-    """Twenty transitions in a directory."""
+def stored(
+    path: Path,
+    value: float | None = PRIOR,
+    spaces: Spaces = SPACES,
+    env_id: str = ENV_ID,
+) -> Path:
+    """Twenty transitions in a directory; without a value no two are alike."""
     replay = directory.create(path, env_id, spaces, 20)
     for seq in range(4):
-        replay.insert(alike(seq, value))
+        any_numbers = segment(seq, 5, obs_size=3, action_size=2, terminated=True)
+        replay.insert(any_numbers if value is None else alike(seq, value))
     replay.close()
     return path
 
@@ -202,16 +208,17 @@ def test_the_same_is_learned_from_the_same_and_another_thing_without(make: Make)
     "options", [{}, {"prioritised": True, "replay_rows": 35}, {"n_step": 3}], ids=str
 )
 def test_a_resumed_run_goes_on_to_the_bit(
-    make: Make, tmp_path: Path, prior_path: Path, options: dict[str, Any]
+    make: Make, tmp_path: Path, options: dict[str, Any]
 ) -> None:
     """Also where the prior data have been moved."""
-    made = make(**options)
+    path = stored(tmp_path / "prior", None)
+    made = make(prior=path, **options)
     acknowledge(tmp_path / "run", 12)
     play(made, 0, 8)
     saved = made[0].state()
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
     play(made, 8, 4)
-    moved = shutil.copytree(prior_path, tmp_path / "moved")
+    moved = shutil.copytree(path, tmp_path / "moved")
     again = make("copy", saved=saved, prior=moved, **options)
     play(again, 8, 4)
     one, two = made[0].state(), again[0].state()
