@@ -1,6 +1,6 @@
 """Reads a Minari data set as segments, one an episode."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +181,7 @@ def _load(source: str) -> Any:
         ) from None
 
 
-def _read(source: str, read: Any) -> Any:
+def _read(source: str, read: Callable[[], Any]) -> Any:
     """Read from a data set; whatever Minari and h5py raise is one line."""
     try:
         return read()
