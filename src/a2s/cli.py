@@ -170,8 +170,11 @@ def evaluate(
     """Play fresh episodes with a trained policy."""
     from a2s.commands.evaluate import evaluate_run, line
 
-    given = options.named(context, groups.ENVIRONMENT)
-    found = evaluate_run(run, given, episodes=episodes, mode=mode, weights=weights, seed=seed or 0)
+    given = options.given(context, groups.ENVIRONMENT)
+    found = evaluate_run(
+        run, given.typed, fallback=given.variables,
+        episodes=episodes, mode=mode, weights=weights, seed=seed or 0,
+    )  # fmt: skip
     typer.echo(json.dumps(found) if json_ else line(found))
 
 
@@ -196,11 +199,12 @@ def record(
     from a2s.commands.process import stop_on_signals
     from a2s.commands.record import line, record_run
 
-    given = options.named(context, groups.ENVIRONMENT)
+    given = options.given(context, groups.ENVIRONMENT)
     with stop_on_signals() as stop:
         found = record_run(
-            run, given, output=output, episodes=episodes, mode=mode, weights=weights,
-            seed=seed or 0, overlay=overlay, proceed=lambda: not stop.is_set(),
+            run, given.typed, fallback=given.variables, output=output, episodes=episodes,
+            mode=mode, weights=weights, seed=seed or 0, overlay=overlay,
+            proceed=lambda: not stop.is_set(),
         )  # fmt: skip
     if not found:
         typer.echo("stopped: no video was written", err=True)

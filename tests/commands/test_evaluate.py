@@ -60,6 +60,25 @@ def test_the_environment_of_a_run_is_known_and_its_weights_can_be_chosen(
         _evaluate(run)
 
 
+@pytest.mark.parametrize(
+    ("told", "expected"), [(True, "Count-v0: 15.0"), (False, "CountTiny-v0: 1.5e-05")]
+)
+def test_a_variable_that_is_set_for_training_does_not_change_what_a_run_plays(
+    tmp_path: Path,
+    make_graph: MakeGraph,
+    a2s: Callable[..., tuple[int, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+    told: bool,
+    expected: str,
+) -> None:
+    """For a policy that knows no environment the variable counts."""
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(make_graph() if told else make_graph(metadata={}))
+    monkeypatch.setenv("A2S_ENV", "a2s_test_envs:CountTiny-v0")
+    said = a2s("evaluate", path, "--episodes", 2)
+    assert said[1].startswith(f"a2s_test_envs:{expected}"), said
+
+
 def test_a_policy_of_other_sizes_is_refused(policy: Path) -> None:
     with pytest.raises(UsageError, match=r"found .*\(2, 2\), expected \(11, 3\) for Hopper-v5"):
         _evaluate(policy, "Hopper-v5")

@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from a2s.actors.evaluation import evaluate, read_policy, trained_on
@@ -26,12 +27,14 @@ def evaluate_run(
     mode: str,
     weights: str,
     seed: int,
+    fallback: Mapping[str, Any] = MappingProxyType({}),
     proceed: Callable[[], bool] = lambda: True,
 ) -> dict[str, Any]:
     """Evaluate a run directory or a policy file.
 
-    ``options`` of the environment replace the run's, as `environment_of` takes them; ``weights``
-    of a run are ``latest`` or ``best``. The evaluation ends when ``proceed`` returns false.
+    ``options`` of the environment replace the run's, as `environment_of` takes them; those of
+    ``fallback`` count only where the policy does not say its environment. ``weights`` of a run are
+    ``latest`` or ``best``. The evaluation ends when ``proceed`` returns false.
 
     Returns:
         The JSON object of ``a2s evaluate --json``; empty when it was ended.
@@ -40,7 +43,7 @@ def evaluate_run(
         UsageError: There is no policy, or it does not fit the environment.
         FaultyEnvironmentError: The environment raised, hung, or returned something invalid.
     """
-    known, path, config = choose(run, options, mode, weights)
+    known, path, config = choose(run, options, fallback, mode, weights)
     result = evaluate(
         path.absolute(),
         known,
@@ -85,7 +88,9 @@ class Choice(NamedTuple):
     config: EnvConfig
 
 
-def choose(run: Path, options: Mapping[str, Any], mode: str, weights: str) -> Choice:
+def choose(
+    run: Path, options: Mapping[str, Any], fallback: Mapping[str, Any], mode: str, weights: str
+) -> Choice:
     """Decide it as `evaluate_run` is asked to.
 
     Raises:
@@ -93,7 +98,8 @@ def choose(run: Path, options: Mapping[str, Any], mode: str, weights: str) -> Ch
     """
     known, path = mode_of(mode), policy_of(run, weights)
     told = trained_on(str(path), read_policy(path, known).metadata)
-    return Choice(known, path, environment_of(options, told))
+    given = {**fallback, **options} if told is None else options
+    return Choice(known, path, environment_of(given, told))
 
 
 def line(result: dict[str, Any]) -> str:

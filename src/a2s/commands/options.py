@@ -7,7 +7,7 @@ them from the context of a command.
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -28,6 +28,23 @@ def named(context: typer.Context, names: Iterable[str]) -> dict[str, Any]:
     """Read parameters of a command: ``None`` where not given, tuples where repeatable."""
     values = {name: context.params[name] for name in names}
     return {n: tuple(v) or None if isinstance(v, list | tuple) else v for n, v in values.items()}
+
+
+class Given(NamedTuple):
+    """Parameters of a command: those of its command line, and those of variables besides."""
+
+    typed: dict[str, Any]
+    variables: dict[str, Any]
+
+
+def given(context: typer.Context, names: Iterable[str]) -> Given:
+    """Read parameters of a command as `named` does, by where they come from."""
+    values = {name: v for name, v in named(context, names).items() if v is not None}
+    is_typed = {name: _source(context, name) == "COMMANDLINE" for name in values}
+    return Given(
+        {name: v for name, v in values.items() if is_typed[name]},
+        {name: v for name, v in values.items() if not is_typed[name]},
+    )
 
 
 def words(context: typer.Context, given: dict[str, Any]) -> list[str]:
@@ -68,6 +85,11 @@ def whole_number(
     is_shown = low is not None and high is not None and high < _MAX_SHOWN
     metavar = f"{low}..{high}" if is_shown else "N"
     return option(panel, *names, **{"parser": parse, "metavar": metavar, **settings})
+
+
+def _source(context: typer.Context, name: str) -> str:
+    source = context.get_parameter_source(name)
+    return "" if source is None else source.name
 
 
 def _absolute(place: str) -> str:

@@ -4,6 +4,7 @@ import importlib.util
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from a2s.actors.recording import record
@@ -27,6 +28,7 @@ def record_run(
     weights: str,
     seed: int,
     overlay: bool,
+    fallback: Mapping[str, Any] = MappingProxyType({}),
     proceed: Callable[[], bool] = lambda: True,
 ) -> dict[str, Any]:
     """Record a run directory or a policy file; the arguments are those of `evaluate_run`.
@@ -43,7 +45,7 @@ def record_run(
         raise UsageError(f"a2s record needs {', '.join(missing)}; pip install 'a2s[video]'")
     if output.suffix != _SUFFIX:
         raise UsageError(f"--output: found {output}, expected a name that ends in {_SUFFIX}")
-    known, path, config = choose(run, options, mode, weights)
+    known, path, config = choose(run, options, fallback, mode, weights)
     backend = find_backend()
     if backend is not None:
         os.environ["MUJOCO_GL"] = backend  # of the child
