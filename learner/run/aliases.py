@@ -8,6 +8,7 @@ and ``entropy_per_action``.
 
 import math
 from collections.abc import Collection, Mapping
+from difflib import SequenceMatcher
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ _EITHER = {
     "policy_lr": "learning_rate",
     "actor_lr": "learning_rate",
     "policy_learning_rate": "learning_rate",
+    "actor_learning_rate": "learning_rate",
     "q_lr": "critic_learning_rate",
     "vf_lr": "critic_learning_rate",
     "critic_lr": "critic_learning_rate",
@@ -83,6 +85,9 @@ RUN = {
     "exp_name": "run",
     "num_actors": "n",
 }
+OPTIONS = (*dict.fromkeys(RUN.values()), "seed", "threads", "device", "preset", "algo", "variant")
+_LEAST_LIKELY, _AS_LIKELY, _MOST_NEAR = 0.55, 0.03, 2  # of names to suggest, 1 is the same
+_SHORTENED, _ELSEWHERE = 0.75, 0.9
 
 
 class Removed(NamedTuple):
@@ -205,22 +210,51 @@ def meant(
 
     Returns:
         ``" (here it is 'replay_rows')"``; ``" (here it is the option --envs)"``;
-        ``" (only with --variant off-policy: 'utd_ratio')"``; ``" (removed: ...)"``; else what
-        `nearest` says.
+        ``" (only with --variant off-policy: 'utd_ratio')"``; ``" (removed: ...)"``;
+        ``" (did you mean 'gamma'?)"``, of all these names; else the valid ones.
     """
     ours, others = (OFF_POLICY, ON_POLICY) if variant == "off-policy" else (ON_POLICY, OFF_POLICY)
     target = ours.get(name, name)
     if target in valid:
         return f" (here it is {target!r})"
-    if name in RUN:
-        return f" (here it is the option --{RUN[name].replace('_', '-')})"
+    if name in RUN or name in OPTIONS:
+        return f" (here it is the option {_option(RUN.get(name, name))})"
     if name in REMOVED[variant]:
         reason = REMOVED[variant][name].reason
         return f" ({reason})" if reason.startswith(_AUTHORS) else f" (removed: {reason})"
     for each in (target, others.get(name, name)):
         if each in elsewhere:
             return f" (only {elsewhere[each]}{'' if each == name else f': {each!r}'})"
-    return nearest(name, valid)
+    rest = [each for each in (*elsewhere, *OPTIONS) if each not in valid]
+    found = dict.fromkeys(ours.get(near, near) for near in _near(name, valid, rest))
+    known = ", or ".join(_shown(near, valid, elsewhere) for near in found)
+    return f" (did you mean {known}?)" if known else f" (valid: {', '.join(sorted(valid))})"
+
+
+def _near(name: str, valid: Collection[str], others: Collection[str]) -> list[str]:
+    """Names like a mistyped or shortened one, the likeliest first; ``others`` are less likely."""
+    parts = set(name.split("_"))
+
+    def likeness(other: str) -> float:
+        typed = SequenceMatcher(None, other, name).ratio()
+        likely = max(typed, _SHORTENED) if parts <= set(other.split("_")) else typed
+        return likely if other in valid else likely * _ELSEWHERE
+
+    likely = sorted(((likeness(other), other) for other in (*valid, *others)), reverse=True)
+    least = max(_LEAST_LIKELY, likely[0][0] - _AS_LIKELY)
+    return [other for likeness, other in likely[:_MOST_NEAR] if likeness >= least]
+
+
+def _shown(name: str, valid: Collection[str], elsewhere: Mapping[str, str]) -> str:
+    if name in valid:
+        return repr(name)
+    if name in elsewhere:
+        return f"{name!r}, only {elsewhere[name]}"
+    return f"the option {_option(name)}"
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def option_meant(name: str, valid: Collection[str]) -> str:

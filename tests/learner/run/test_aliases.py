@@ -12,7 +12,7 @@ from typer.main import get_command
 from a2s import cli
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.run.aliases import OFF_POLICY, ON_POLICY, REMOVED, RUN, meant
+from a2s.learner.run.aliases import OFF_POLICY, ON_POLICY, OPTIONS, REMOVED, RUN, meant
 from a2s.learner.run.config import assemble, read
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import UsageError
@@ -33,13 +33,35 @@ def test_every_name_leads_to_one_of_ours_and_is_none_itself(
 def test_what_is_said_to_be_an_option_is_one() -> None:
     learner = get_command(cli.app).commands["learner"]  # type: ignore[attr-defined]
     options = {option for parameter in learner.params for option in parameter.opts}
-    for name in set(RUN) - set(ON_POLICY) - set(OFF_POLICY):
+    for name in (set(RUN) | set(OPTIONS)) - set(ON_POLICY) - set(OFF_POLICY):
         (option,) = meant(name, {}).strip(" ()").split()[-1:]
         assert option in options
 
 
 def test_a_name_that_nobody_has_is_told_the_nearest() -> None:
     assert meant("gama", {"gamma", "tau"}) == " (did you mean 'gamma'?)"
+
+
+@pytest.mark.parametrize(
+    ("variant", "name", "said"),
+    [
+        ("on-policy", "polcy_sizes", "'policy_sizes'"),
+        ("on-policy", "utd_rato", "'utd_ratio', only with --variant off-policy"),
+        ("on-policy", "num_critic", "'num_critics', only with --variant off-policy"),
+        ("on-policy", "epochs", "'policy_epochs', or 'critic_epochs'"),
+        ("on-policy", "total_step", "the option --total-steps"),
+        ("off-policy", "q_size", "'q_sizes', only on-policy"),
+        ("off-policy", "hidden_sizes", "'policy_sizes', or 'critic_sizes'"),
+        ("off-policy", "sugestions", "'act_suggestions'"),
+    ],
+)
+def test_a_mistyped_name_is_told_the_likeliest_wherever_it_is(
+    variant: str, name: str, said: str
+) -> None:
+    """The right one before names that are merely similar and happen to be valid here."""
+    with pytest.raises(UsageError) as refused:
+        assemble({"variant": variant}, {name: "1"})
+    assert str(refused.value) == f"unknown hyperparameter {name!r} (did you mean {said}?)"
 
 
 @pytest.mark.parametrize(
