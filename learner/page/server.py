@@ -5,6 +5,7 @@ import mimetypes
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qs
@@ -20,6 +21,7 @@ _STATIC = files("a2s.learner.page") / "static"
 _PAGE = "index.html"
 _POLICY = "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'"
 _ROOTS = {"", "/"}
+_IDLE_S = 30.0
 
 StartResponse = Callable[[str, list[tuple[str, str]]], Any]
 
@@ -27,7 +29,7 @@ StartResponse = Callable[[str, list[tuple[str, str]]], Any]
 class Server:
     """A server of the page at ``/`` and, with a ``registry``, of ``/metrics``.
 
-    ``option`` is the one that names the port.
+    ``option`` is the one that names the port. Who says nothing for ``idle_s`` seconds is cut off.
 
     Attributes:
         port: Where it listens; a free port when 0 was wanted.
@@ -43,14 +45,19 @@ class Server:
         port: int,
         option: str,
         registry: CollectorRegistry | None = None,
+        idle_s: float = _IDLE_S,
     ) -> None:
         self._histories = histories
         self._metrics = None if registry is None else make_wsgi_app(registry)
         self._static = {
             f"/{file.name}": file.read_bytes() for file in _STATIC.iterdir() if file.is_file()
         }
+
+        class Handler(_Silent):
+            timeout = idle_s
+
         try:
-            self._server = make_server(host, port, self._answer, ThreadingWSGIServer, _Silent)
+            self._server = make_server(host, port, self._answer, ThreadingWSGIServer, Handler)
         except OSError as error:
             raise UsageError(
                 f"port {port}: {error.strerror}; choose another with {option}, 0 = any"
@@ -126,6 +133,11 @@ class Sampler:
 
 
 class _Silent(WSGIRequestHandler):
+    def handle(self) -> None:
+        """Answer, unless the peer has become silent or left."""
+        with suppress(OSError):
+            super().handle()
+
     def log_message(self, *_: object) -> None:
         """Requests are no news."""
 

@@ -3,11 +3,13 @@
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
+from http.client import HTTPException
 
 import pytest
 from prometheus_client import CollectorRegistry, Gauge
 
-from a2s.commands.dashboard import address, recall, scrape
+from a2s.commands.dashboard import address, fetch, recall, scrape
 from a2s.learner.page.history import History
 from a2s.learner.page.server import Server
 from a2s.protocol.errors import UsageError
@@ -92,3 +94,32 @@ def test_a_peer_that_speaks_otherwise_is_down_and_no_more(said: bytes) -> None:
         thread.join()
     assert not history.is_up
     assert history.since(0.0) == {"t": [], "series": {}}
+
+
+@pytest.mark.parametrize("said", [b"HTTP/1.1 200 OK\r\nX: ", b"HTTP/1.1 200 OK\r\n\r\n"])
+def test_a_peer_that_drips_is_cut_off(said: bytes) -> None:
+    """A byte now and then, within the header or after it, for as long as somebody listens."""
+    gone = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def drip() -> None:
+            peer, _ = listener.accept()
+            with peer, suppress(OSError):
+                peer.sendall(said)
+                while not gone.wait(0.05):
+                    peer.sendall(b"x")
+
+        thread = threading.Thread(target=drip, daemon=True)
+        thread.start()
+        url = address(f"127.0.0.1:{listener.getsockname()[1]}")
+
+        def read() -> None:
+            with suppress(HTTPException):
+                fetch(url, total_s=0.2)
+
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        reader.join(20)
+        gone.set()
+        thread.join()
+    assert not reader.is_alive()

@@ -1,13 +1,15 @@
 """``a2s dashboard``: the live page of several runs, from their ``/metrics``, wherever they are."""
 
 import json
+import socket
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from functools import partial
-from http.client import HTTPException
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from threading import Timer
+from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 import typer
@@ -19,7 +21,8 @@ from a2s.learner.page.server import Sampler, Server
 from a2s.protocol.errors import UsageError
 
 PORT = 9466
-_TIMEOUT_S = 1.5
+_TIMEOUT_S = 1.5  # without a byte
+_TOTAL_S = 5.0
 _SCHEMES = ("http", "https")
 
 
@@ -65,12 +68,57 @@ def address(target: str) -> str:
     return urlunsplit(parts._replace(path=parts.path if len(parts.path) > 1 else "/metrics"))
 
 
+def fetch(url: str, total_s: float = _TOTAL_S) -> bytes:
+    """Fetch what is there, within this time in all.
+
+    Raises:
+        OSError: Nobody answers, or with an error.
+        HTTPException: Something else answers, or it takes too long.
+    """
+    opener = urllib.request.build_opener(_Hurried(total_s))
+    with opener.open(url, timeout=_TIMEOUT_S) as reply:
+        return bytes(reply.read())
+
+
+class _Watched(HTTPConnection):
+    """Is cut off in the end: a peer may send a byte now and then for ever."""
+
+    def __init__(self, *place: Any, total_s: float, **settings: Any) -> None:
+        super().__init__(*place, **settings)
+        self._total_s = total_s
+
+    def connect(self) -> None:
+        super().connect()
+        watch = Timer(self._total_s, _cut, [self.sock])
+        watch.daemon = True
+        watch.start()
+
+
+class _WatchedSecurely(_Watched, HTTPSConnection):
+    """The same over TLS."""
+
+
+class _Hurried(urllib.request.HTTPSHandler, urllib.request.HTTPHandler):
+    def __init__(self, total_s: float) -> None:
+        super().__init__()
+        self._total_s = total_s
+
+    def http_open(self, req: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(partial(_Watched, total_s=self._total_s), req)
+
+    def https_open(self, req: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(partial(_WatchedSecurely, total_s=self._total_s), req)
+
+
+def _cut(connection: socket.socket) -> None:
+    with suppress(OSError):  # it has ended
+        connection.shutdown(socket.SHUT_RDWR)
+
+
 def scrape(history: History, url: str) -> None:
     """Take what the learner says now; nothing where it does not answer."""
     try:
-        with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as reply:
-            text = reply.read().decode()
-        history.take(time.time(), text_string_to_metric_families(text))
+        history.take(time.time(), text_string_to_metric_families(fetch(url).decode()))
     except (OSError, HTTPException, ValueError):  # the last two: something else answers there
         history.is_up = False
 
@@ -79,8 +127,7 @@ def recall(history: History, url: str) -> None:
     """Take over what the learner's own page remembers, if it has one."""
     data = url.removesuffix("metrics") + "data"
     try:
-        with urllib.request.urlopen(data, timeout=_TIMEOUT_S) as reply:
-            told = json.load(reply)
+        told = json.loads(fetch(data))
         (run,), ahead_s = told["runs"], told["now"] - time.time()  # its clock is another
         names = list(run["series"])
         past = []

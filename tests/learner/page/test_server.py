@@ -1,6 +1,7 @@
 """The server of the live page: files, data, metrics, and nothing else."""
 
 import json
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -70,6 +71,20 @@ def test_there_is_nothing_else(server: Server, path: str) -> None:
 def test_a_port_that_is_taken_is_named_with_the_option(server: Server) -> None:
     with pytest.raises(UsageError, match=rf"^port {server.port}: .*; choose another with --port"):
         Server([], "127.0.0.1", server.port, "--port")
+
+
+def test_who_says_nothing_is_cut_off_and_who_asks_is_answered(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Not even a thread is kept for a browser that has fallen asleep, and nothing is said of it."""
+    server = Server([], "127.0.0.1", 0, "--port", idle_s=0.1)
+    for said in (b"", b"GET / HTTP/1.1\r\nHost"):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=20) as asleep:
+            asleep.sendall(said)
+            assert asleep.recv(1) == b""
+    assert b"<title>" in _read(server, "/")
+    server.close()
+    assert capsys.readouterr().err == ""
 
 
 def test_a_sampler_takes_at_once_and_stops() -> None:
