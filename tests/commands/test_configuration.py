@@ -1,12 +1,15 @@
 """Where the configuration of a run comes from: options, variables, files and defaults."""
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from a2s import cli
+from a2s.commands.run_cli import again_by
 
 
 def _print_config(*arguments: str) -> str:
@@ -127,3 +130,25 @@ def test_a_file_with_a_mistake_gets_one_line(
     code, _, error = a2s("learner", "--config", "bad.toml")
     assert (code, error.count("\n")) == (2, 1)
     assert said in error
+
+
+@pytest.mark.parametrize(
+    ("command", "typed"),
+    [
+        ("learner", ["--listen", "tcp/0.0.0.0:7447", "--metrics-port", "0", "--seed", "3"]),
+        ("learner", ["--replay-from", "runs/an other", "--connect", "tcp/far:7447"]),
+        ("train", ["--run", "mine", "--weights", "best", "--episodes", "3", "--json"]),
+    ],
+)
+def test_the_command_that_goes_on_with_a_run_says_again_what_its_file_does_not(
+    tmp_path: Path, command: str, typed: list[str]
+) -> None:
+    """As it is pasted into a shell."""
+    called = get_command(cli.app).commands[command]  # type: ignore[attr-defined]
+    place = tmp_path / "a run"
+    words = shlex.split(again_by(called.make_context(command, typed.copy()), place))
+    assert words[:2] == ["a2s", command]
+    context, first = (called.make_context(command, each) for each in (words[2:], typed.copy()))
+    changed = {n for n, v in context.params.items() if v != first.params[n]}
+    assert changed <= {"resume", "run_dir", "run", "seed", "json_"}
+    assert (context.params["resume"], context.params["run_dir"]) == (True, place)

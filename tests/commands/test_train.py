@@ -18,6 +18,7 @@ def _train(path: Path, *, resume: bool = False) -> int:
         metrics_port=-1,
         resume=resume,
         as_json=False,
+        again="a2s train --resume",
         evaluation={},
     )
 

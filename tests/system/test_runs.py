@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -114,7 +115,9 @@ def test_a_killed_actor_is_replaced_and_the_accounts_balance(
     seen = scrape(metrics_port(actor))
     assert sum(seen[f'a2s_actor_restarts_total{{worker="{i}"}}'] for i in range(2)) == 1
     assert learner.end(signal.SIGINT) == 130, learner.text()
-    assert f"stopped     go on with --resume --run-dir {path}" in learner.text()
+    words = ["a2s", "learner", "--resume", "--run-dir", str(path), "--listen", endpoint]
+    said = f"stopped     go on with: {shlex.join(words)} --metrics-port 0\n"
+    assert said in learner.text()
     _assert_balance(_summary(path)["segments"])
 
 

@@ -69,10 +69,19 @@ def test_ctrl_c_ends_an_evaluation_that_a_script_started_behind_itself(
     [pytest.param("", signal.SIGINT, marks=pytest.mark.long), ("libtorch", signal.SIGTERM)],
 )
 def test_a_training_whose_learner_starts_ends_and_leaves_no_trace_of_a_run_not_begun(
-    start: Start, tmp_path: Path, wait_for: WaitFor, module: str, number: int
+    start: Start,
+    tmp_path: Path,
+    wait_for: WaitFor,
+    monkeypatch: pytest.MonkeyPatch,
+    module: str,
+    number: int,
 ) -> None:
+    """Nor anything temporary, since a second Ctrl-C leaves no time to remove it."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
     train = _train(start, "--total-steps", "512")
     wait_for(lambda: any(module in path for path in _learner(train)), "a learner that starts")
+    assert not any(each.is_dir() for each in (tmp_path / "temporary").iterdir())
     assert train.end(number) == 130, train.text()
     _assert_quiet(train)
     run = tmp_path / "run"

@@ -55,6 +55,7 @@ class Place:
         metrics_host: Address on which metrics are served.
         metrics_port: The port; 0: any free one, -1: not served, ``None``: the usual one.
         as_json: Print the summary as the last line of standard output, and all else elsewhere.
+        again: The command that goes on with the run.
     """
 
     path: Path
@@ -62,6 +63,7 @@ class Place:
     metrics_host: str
     metrics_port: int | None
     as_json: bool
+    again: str
 
     @property
     def out(self) -> TextIO:
@@ -107,7 +109,7 @@ class Place:
     def end(self, summary: dict[str, Any], stop: Stop) -> int:
         """Say how to go on, print the summary if it is wanted as JSON, and give the exit code."""
         if not summary["finished"]:
-            typer.echo(f"stopped     go on with --resume --run-dir {self.path}", self.out)
+            typer.echo(f"stopped     go on with: {self.again}", self.out)
         if self.as_json:
             typer.echo(json.dumps(summary))
         return EXIT_INTERRUPTED if stop.interrupted else 0

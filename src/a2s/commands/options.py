@@ -285,6 +285,9 @@ MetricsPort = Annotated[int | None, whole_number(
 MetricsHost = Annotated[str, option(
     _PLACE, "--metrics-host", help="Address on which /metrics is served.",
 )]
+Again = Annotated[str | None, option(  # from a2s train to its learner
+    _PLACE, "--again", hidden=True, envvar=None, help="The command that goes on with the run.",
+)]
 Json = Annotated[bool, option(
     _PLACE, "--json", help="Print one JSON object as the last line of standard output.",
 )]

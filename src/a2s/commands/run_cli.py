@@ -1,6 +1,7 @@
 """The command lines of ``a2s learner`` and ``a2s train``."""
 
 import importlib.util
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,12 @@ from a2s.protocol.keys import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
     from a2s.learner.run.config import Configuration
+
+
+_NOT_OF_THE_RUN = (
+    "listen", "metrics_port", "metrics_host", "replay_from", "connect",
+    "episodes", "mode", "weights",
+)  # fmt: skip
 
 
 @taking(RUN)
@@ -28,6 +35,7 @@ def learner(
     metrics_host: options.MetricsHost = options.LOOPBACK,
     replay_from: options.ReplayFrom = None,
     connect: options.ReplayConnect = DEFAULT_ENDPOINT,
+    again: options.Again = None,
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
@@ -45,6 +53,7 @@ def learner(
         metrics_host=metrics_host,
         metrics_port=metrics_port,
         as_json=json_,
+        again=again or again_by(context, path),
     )
     if replay_from is None:
         code = learn(configuration, place, listen)
@@ -82,9 +91,18 @@ def train(
             metrics_port=metrics_port,
             resume=resume,
             as_json=json_,
+            again=again_by(context, path),
             evaluation=how,
         )
     )
+
+
+def again_by(context: typer.Context, path: Path) -> str:
+    """Write the command that goes on with a run: its file knows all but what is not of the run."""
+    there = [name for name in _NOT_OF_THE_RUN if name in context.params]
+    typed = options.given(context, there).typed
+    words = ["a2s", str(context.info_name), "--resume", "--run-dir", str(path)]
+    return shlex.join([*words, *options.words(context, typed)])
 
 
 def require_learner() -> None:

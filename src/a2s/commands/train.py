@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -44,6 +44,7 @@ def train(
     metrics_port: int | None,
     resume: bool,
     as_json: bool,
+    again: str,
     evaluation: dict[str, Any],
 ) -> int:
     """Train, evaluate, plot, and say where everything is.
@@ -51,6 +52,7 @@ def train(
     The learner listens on a free port of this machine where ``listen`` is ``None``; the actors
     serve their metrics on a free port. ``evaluation`` has the arguments of `evaluate_run`.
     ``as_json`` prints the summary as the last line of standard output, and all else elsewhere.
+    ``again`` is the command that goes on with the run.
 
     Returns:
         The exit code.
@@ -61,16 +63,18 @@ def train(
     run = configuration.run
     out = sys.stderr if as_json else sys.stdout
     endpoint = listen or free_endpoint()
-    with tempfile.TemporaryDirectory(prefix="a2s-") as scratch, stop_on_signals() as stop:
-        config = Path(scratch) / "config.toml"
-        config.write_text(configuration.to_toml())
-        learner = ["learner", "--config", str(config), "--run-dir", str(path)]
-        learner += ["--listen", endpoint, *(["--resume"] if resume else [])]
+    # Without a name: nothing is left of it, however this process ends.
+    with tempfile.TemporaryFile("w+") as config, stop_on_signals() as stop:
+        config.write(configuration.to_toml())
+        config.flush()
+        learner = ["learner", "--config", f"/dev/fd/{config.fileno()}", "--run-dir", str(path)]
+        learner += ["--listen", endpoint, "--again", again, *(["--resume"] if resume else [])]
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
-        code = _run(learner, actor, evaluator, path, out, stop)
+        starting = started(learner, out, files=(config.fileno(),))
+        code = _run(starting, actor, evaluator, path, again, stop)
     if code or not (path / "summary.json").exists():
         return code or EXIT_INTERRUPTED
     summary = json.loads((path / "summary.json").read_text())
@@ -91,11 +95,11 @@ def train(
 
 
 def _run(
-    learner_options: list[str],
+    starting: AbstractContextManager[Process],
     actor_options: list[str],
     evaluator_options: list[str],
     path: Path,
-    out: TextIO,
+    again: str,
     stop: Stop,
 ) -> int:
     """Start all, wait for the learner, end the others. Learner and actors end each other.
@@ -109,7 +113,7 @@ def _run(
         pass  # refused here, before anything is started, if the learner could not claim it
     log, before = path / ACTORS_LOG, _starts(path)
     with ExitStack() as stack:
-        learner = stack.enter_context(started(learner_options, out))
+        learner = stack.enter_context(starting)
         actor_log = stack.enter_context(log.open("a"))
         actors = stack.enter_context(started(actor_options, actor_log, niceness=_NICENESS))
         evaluator: Process | None = None
@@ -128,8 +132,7 @@ def _run(
     if _starts(path) == before and learner.returncode > 0:
         return learner.returncode
     raise A2SError(
-        f"the learner ended with code {learner.returncode}; go on from its checkpoint with: "
-        f"a2s train --resume --run-dir {path}"
+        f"the learner ended with code {learner.returncode}; go on from its checkpoint with: {again}"
     )
 
 
@@ -171,10 +174,12 @@ def _last_words(log: Path) -> str:
 
 
 @contextmanager
-def started(options: list[str], out: IO[str], *, niceness: int = 0) -> Iterator[Process]:
+def started(
+    options: list[str], out: IO[str], *, niceness: int = 0, files: tuple[int, ...] = ()
+) -> Iterator[Process]:
     """Run a command as long as the block lasts, in a process group of its own.
 
-    Ctrl-C reaches only this process, which ends the command cleanly.
+    It shares the open ``files``. Ctrl-C reaches only this process, which ends it cleanly.
     """
     libc = ctypes.CDLL(None)
 
@@ -187,6 +192,7 @@ def started(options: list[str], out: IO[str], *, niceness: int = 0) -> Iterator[
         stdout=out,
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
+        pass_fds=files,
         preexec_fn=begin,
     )
     try:
