@@ -3,7 +3,6 @@
 import contextlib
 import csv
 import fcntl
-import io
 import json
 import os
 import time
@@ -11,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table
 from a2s.protocol.errors import RunDirectoryError, UsageError
-from a2s.protocol.fields import MAX_METRICS
 
 EPISODE_COLUMNS = (
     "wall_s",
@@ -35,7 +34,7 @@ EVALUATION_COLUMNS = (
     "return_max",
     "length_mean",
 )
-EVALUATIONS = "evaluations.csv"
+EPISODES, UPDATES, EVALUATIONS = "episodes.csv", "updates.csv", "evaluations.csv"
 CONFIG = "config.toml"
 ENDPOINT, LOCK = "endpoint", "lock"
 
@@ -158,47 +157,19 @@ class RunDirectory:
         self._starts = _read_starts(path / "generation")
         with _writing(path):
             path.mkdir(parents=True, exist_ok=True)
-            self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
-            self._metric_names = _header(path / "episodes.csv")[len(EPISODE_COLUMNS) :]
-            self._updates = self._open_table("updates.csv", update_columns)
-            self._update_columns = _header(path / "updates.csv")
+            self._episodes = GrowingTable(path / EPISODES, EPISODE_COLUMNS, write_atomically)
+            self._updates = open_table(path / UPDATES, update_columns)
+            self._update_columns = header(path / UPDATES)
             self._events = (path / "events.jsonl").open("a", buffering=1)
-            self._evaluations: IO[str] | None = None
-
-    def _open_table(self, name: str, columns: Sequence[str]) -> IO[str]:
-        path = self.path / name
-        whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
-        file = path.open("a", newline="", buffering=1)
-        file.truncate(whole)  # a row torn by a kill, or for want of room
-        if not whole:
-            csv.writer(file).writerow(columns)
-        return file
+            self._evaluations: GrowingTable | None = None
 
     def episode(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
         """Append to ``episodes.csv``: the values of `EPISODE_COLUMNS` but for the first.
 
-        Metrics of environments have columns after these, each from the first episode that has it.
+        Metrics of environments, by their columns, come after these.
         """
-        added = [name for name in metrics if name not in self._metric_names]
-        if added:
-            self._add_columns(added[: MAX_METRICS - len(self._metric_names)])
-        told = [f"{metrics[n]:.9g}" if n in metrics else "" for n in self._metric_names]
-        with _writing(self._episodes.name):
-            csv.writer(self._episodes).writerow([f"{self._clock():.3f}", *row, *told])
-
-    def _add_columns(self, names: list[str]) -> None:
-        """Write the table anew with more columns, empty so far."""
-        path = self.path / "episodes.csv"
-        self._episodes.close()
-        with path.open(newline="") as file:
-            header, *lines = list(csv.reader(file))
-        table = io.StringIO(newline="")
-        csv.writer(table).writerows(
-            [[*header, *names], *([*line, *("" for _ in names)] for line in lines)]
-        )
-        write_atomically(path, table.getvalue().encode())
-        self._metric_names += names
-        self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+        with _writing(self.path / EPISODES):
+            self._episodes.append([f"{self._clock():.3f}", *row], metrics)
 
     def read_episodes(self) -> Iterator[tuple[float, float, int, dict[str, float]]]:
         """Yield time, return, length and metrics of every episode so far.
@@ -206,15 +177,15 @@ class RunDirectory:
         Raises:
             RunDirectoryError: A line is not one of this table; all files are closed.
         """
-        path, line = self.path / "episodes.csv", []
-        columns = [*EPISODE_COLUMNS, *self._metric_names]
+        path, line = self.path / EPISODES, []
+        columns, metrics = self._episodes.columns, self._episodes.metrics
         with path.open(newline="") as file:
             lines = csv.reader(file)
             try:
                 for line in lines:
                     if lines.line_num > 1:
                         row = dict(zip(columns, line, strict=True))
-                        told = {n: float(row[n]) for n in self._metric_names if row[n]}
+                        told = {n: float(row[n]) for n in metrics if row[n]}
                         yield float(row["wall_s"]), float(row["return"]), int(row["length"]), told
                     elif line != columns:
                         raise ValueError
@@ -240,26 +211,23 @@ class RunDirectory:
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
         self._updates.close()
-        self._keep_rows("updates.csv", count)
-        self._updates = self._open_table("updates.csv", self._update_columns)
+        keep_rows(self.path / UPDATES, count, write_atomically)
+        self._updates = open_table(self.path / UPDATES, self._update_columns)
 
     def keep_episodes(self, count: int) -> None:
         """Forget rows of ``episodes.csv`` past this many: they come again."""
-        self._episodes.close()
-        self._keep_rows("episodes.csv", count)
-        self._episodes = self._open_table("episodes.csv", EPISODE_COLUMNS)
+        self._episodes.keep(count)
 
-    def _keep_rows(self, name: str, count: int) -> None:
-        path = self.path / name
-        lines = path.read_text().splitlines(keepends=True)
-        write_atomically(path, "".join(lines[: count + 1]).encode())
+    def evaluation(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
+        """Append to ``evaluations.csv``: the values of `EVALUATION_COLUMNS` but for the first.
 
-    def evaluation(self, row: Sequence[object]) -> None:
-        """Append to ``evaluations.csv``: the values of `EVALUATION_COLUMNS` but for the first."""
-        with _writing(self.path / EVALUATIONS):
+        Metrics of environments, by their columns, come after these.
+        """
+        path = self.path / EVALUATIONS
+        with _writing(path):
             if self._evaluations is None:
-                self._evaluations = self._open_table(EVALUATIONS, EVALUATION_COLUMNS)
-            csv.writer(self._evaluations).writerow([f"{self._clock():.3f}", *row])
+                self._evaluations = GrowingTable(path, EVALUATION_COLUMNS, write_atomically)
+            self._evaluations.append([f"{self._clock():.3f}", *row], metrics)
 
     def read_evaluations(self, mode: str) -> list[EvaluationRow]:
         """Every evaluation in a mode so far.
@@ -339,13 +307,3 @@ def _read_starts(path: Path) -> int:
 
 def _short(value: object) -> object:
     return f"{value:.9g}" if isinstance(value, float) else value
-
-
-def column_of(metric: str) -> str:
-    """Name the column of an environment's metric, different from ours."""
-    return f"info_{metric}" if metric in EPISODE_COLUMNS else metric
-
-
-def _header(table: Path) -> list[str]:
-    with table.open(newline="") as file:
-        return next(csv.reader(file), [])

@@ -1,8 +1,9 @@
 """Finished episodes, written down."""
 
 from a2s.learner.feed import Episode
-from a2s.learner.run.directory import RunDirectory, column_of
+from a2s.learner.run.directory import EPISODE_COLUMNS, RunDirectory
 from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.growing_table import column_of
 from a2s.learner.run.metrics import LearnerMetrics
 
 
@@ -24,8 +25,8 @@ class EpisodeLog:
 
     def add(self, episode: Episode, slot: int, env_steps: int) -> None:
         """Write down an episode of the actor at a place, at this number of steps of the run."""
-        told = episode.metrics.items()
-        metrics = {column_of(n): value for n, value in told if n in self._metric_names}
+        told = {n: value for n, value in episode.metrics.items() if n in self._metric_names}
+        metrics = {column_of(n, EPISODE_COLUMNS): value for n, value in told.items()}
         self._stats.add(episode.episode_return, episode.length, metrics)
         self._metrics.episodes.inc()
         row = (

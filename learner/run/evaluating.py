@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from a2s.learner.ingest.evaluations import Evaluated, Evaluations
-from a2s.learner.run.directory import RunDirectory
+from a2s.learner.run.directory import EPISODE_COLUMNS, EVALUATION_COLUMNS, RunDirectory
+from a2s.learner.run.growing_table import column_of
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.status import Score, Status
 from a2s.protocol.evaluation_messages import (
@@ -71,16 +72,21 @@ class Evaluating:
 
     def _write_down(self, evaluated: Evaluated) -> None:
         task, result = evaluated
+        names = self._status.run.env_config().metric_names
+        told = {each.name: each.value for each in result.metrics if each.name in names}
         for mode in task.modes:
             played = [episode for episode in result.episodes if episode.mode == mode]
             returns = [episode.episode_return for episode in played]
             score = Score(task.env_steps, float(np.mean(returns)), float(np.std(returns)))
             length = np.mean([episode.length for episode in played])
             shown = score.mean, score.std, min(returns), max(returns), length
+            metrics = told if mode == "mean" else {}
             self._directory.evaluation(
                 [task.env_steps, task.weights_version, mode, len(played)]
-                + [f"{number:.9g}" for number in shown]
+                + [f"{number:.9g}" for number in shown],
+                {column_of(name, EVALUATION_COLUMNS): value for name, value in metrics.items()},
             )
-            self._metrics.show_evaluation(mode, returns)
+            labels = {column_of(name, EPISODE_COLUMNS): v for name, v in metrics.items()}
+            self._metrics.show_evaluation(mode, returns, labels)
             if mode == "mean" and self._status.evaluated(score):
                 self._directory.policy("best", task.graph)

@@ -101,6 +101,9 @@ class LearnerMetrics:
             ),
             "best-of-k": self._unknown("eval_best_of_k_return_mean", "The same, by the best of K."),
         }
+        self.eval_info = self._gauge(
+            "eval_info_mean", "What environments told of the latest evaluation.", "metric"
+        )
         self.eval_episodes = self._counter("eval_episodes", "Episodes of evaluations.")
         self.target_steps = self._gauge("target_steps", "Environment steps at which the run ends.")
 
@@ -229,8 +232,12 @@ class LearnerMetrics:
             self.return_max.set(max(returns))
             self.length_mean.set(sum(episodes.lengths) / len(episodes.lengths))
 
-    def show_evaluation(self, mode: str, returns: Sequence[float]) -> None:
-        """Show an evaluation in one way of acting."""
+    def show_evaluation(
+        self, mode: str, returns: Sequence[float], metrics: Mapping[str, float]
+    ) -> None:
+        """Show an evaluation in one way of acting, and the environment's metrics then."""
+        for name, mean in metrics.items():
+            self.eval_info.labels(metric=name).set(mean)
         self.evaluated[mode].set(sum(returns) / len(returns))
         self.eval_episodes.inc(len(returns))
 

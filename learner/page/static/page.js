@@ -195,8 +195,10 @@ function table(run, lines) { // x, and one column a line; over steps a point for
 
 function infoPanels() { // is_success, and each --info-metric
   const names = new Set(runs.flatMap((run) => Object.keys(run.series)));
-  const found = [...names].map((name) => /^a2s_learner_episode_info_mean\{metric="(.*)"\}$/.exec(name)).filter(Boolean);
-  return found.map(([, metric]) => [`${metric}, mean of episodes`, [[metric, `episode_info_mean{metric="${metric}"}`]]]);
+  const found = [...names].map((name) => /^a2s_learner_(?:episode|eval)_info_mean\{metric="(.*)"\}$/.exec(name)).filter(Boolean);
+  return [...new Set(found.map(([, metric]) => metric))].map((metric) => [`${metric}, mean of episodes`, [
+    ["training", `episode_info_mean{metric="${metric}"}`], ["evaluation", `eval_info_mean{metric="${metric}"}`],
+  ]]);
 }
 
 function linesOf([title, lines]) {

@@ -1,5 +1,6 @@
 """Evaluation while training: when, and what is left of it."""
 
+import csv
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -19,6 +20,7 @@ from a2s.protocol.evaluation_messages import (
     EvaluationResult,
     EvaluationTask,
 )
+from a2s.protocol.messages import EpisodeMetric
 
 
 class _Run:
@@ -42,7 +44,7 @@ class _Run:
         self.evaluations.here("e")
         return self.evaluations.ask(EvaluationRequest(evaluator="e"))
 
-    def play(self, *returns: float) -> EvaluationTask:
+    def play(self, *returns: float, **metrics: float) -> EvaluationTask:
         """Answer the next task, and let the learner look."""
         task = self.ask()
         assert task is not None
@@ -52,7 +54,13 @@ class _Run:
             for i, number in enumerate(returns)
         )
         self.evaluations.answer(
-            EvaluationResult(evaluator="e", generation=1, number=task.number, episodes=episodes)
+            EvaluationResult(
+                evaluator="e",
+                generation=1,
+                number=task.number,
+                episodes=episodes,
+                metrics=tuple(EpisodeMetric(name=n, value=v) for n, v in metrics.items()),
+            )
         )
         self.evaluating.look()
         return task
@@ -122,6 +130,27 @@ def test_a_result_is_written_shown_and_the_best_policy_kept(
         run.play(mean, mean, 0.0, 0.0)
     assert run.status.best_score == Score(300, 4.0, 0.0)
     assert (tmp_path / "best" / "policy.onnx").read_bytes() == b"graph 300"
+
+
+def test_metrics_of_the_environment_have_columns_from_the_first_evaluation_that_has_them(
+    tmp_path: Path, make_run: MakeRun
+) -> None:
+    """Those that the run keeps, of the mean action; a name of ours is made another."""
+    run = make_run(algo="a2s", info_metrics=["mode"])
+    returns = (1.0, 1.0, 2.0, 2.0)
+    for steps, told in ((100, {}), (200, {"is_success": 0.5, "other": 1.0}), (300, {"mode": 2.0})):
+        run.reach(steps)
+        run.play(*returns, **told)
+    with (tmp_path / "evaluations.csv").open(newline="") as file:
+        rows = [(r["mode"], r["is_success"], r["info_mode"]) for r in csv.DictReader(file)]
+    others = ("best-of-k", "", "")
+    assert rows == [
+        ("mean", "", ""), others, ("mean", "0.5", ""), others, ("mean", "", "2"), others,
+    ]  # fmt: skip
+    assert [row.env_steps for row in evaluations(tmp_path, "mean")] == [100, 200, 300]
+    shown = run.metrics.registry.get_sample_value
+    assert shown("a2s_learner_eval_info_mean", {"metric": "is_success"}) == 0.5
+    assert shown("a2s_learner_eval_info_mean", {"metric": "other"}) is None
 
 
 def test_a_resumed_run_knows_the_best_of_its_earlier_starts(

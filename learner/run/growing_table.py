@@ -1,0 +1,89 @@
+"""A CSV table whose columns grow: metrics of environments are known when they come."""
+
+import csv
+import io
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+from a2s.protocol.fields import MAX_METRICS
+
+Replace = Callable[[Path, bytes], None]
+
+
+class GrowingTable:
+    """Rows with fixed columns and, after these, one for each metric from the first row that has it.
+
+    ``replace`` writes a file atomically.
+
+    Attributes:
+        metrics: Names of the columns of metrics so far.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], replace: Replace) -> None:
+        self._path, self._columns, self._replace = path, columns, replace
+        self._file = open_table(path, columns)
+        self.metrics = header(path)[len(columns) :]
+
+    @property
+    def columns(self) -> list[str]:
+        """All columns, in their order."""
+        return [*self._columns, *self.metrics]
+
+    def append(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
+        """Append a row; so many metrics that the table would be too wide are left out."""
+        added = [name for name in metrics if name not in self.metrics]
+        if added:
+            self._add_columns(added[: MAX_METRICS - len(self.metrics)])
+        told = [f"{metrics[name]:.9g}" if name in metrics else "" for name in self.metrics]
+        csv.writer(self._file).writerow([*row, *told])
+
+    def keep(self, count: int) -> None:
+        """Forget the rows past this many; columns stay."""
+        self._file.close()
+        keep_rows(self._path, count, self._replace)
+        self._file = open_table(self._path, self._columns)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _add_columns(self, names: list[str]) -> None:
+        """Write the table anew with more columns, empty so far."""
+        self._file.close()
+        with self._path.open(newline="") as file:
+            first, *lines = list(csv.reader(file))
+        text = io.StringIO(newline="")
+        csv.writer(text).writerows(
+            [[*first, *names], *([*line, *("" for _ in names)] for line in lines)]
+        )
+        self._replace(self._path, text.getvalue().encode())
+        self.metrics += names
+        self._file = open_table(self._path, self._columns)
+
+
+def open_table(path: Path, columns: Sequence[str]) -> IO[str]:
+    """Open a table for appending, without a row that a kill, or want of room, has torn."""
+    whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
+    file = path.open("a", newline="", buffering=1)
+    file.truncate(whole)
+    if not whole:
+        csv.writer(file).writerow(columns)
+    return file
+
+
+def keep_rows(path: Path, count: int, replace: Replace) -> None:
+    """Forget the rows of a closed table past this many."""
+    lines = path.read_text().splitlines(keepends=True)
+    replace(path, "".join(lines[: count + 1]).encode())
+
+
+def header(path: Path) -> list[str]:
+    """Read the columns of a table."""
+    with path.open(newline="") as file:
+        return next(csv.reader(file), [])
+
+
+def column_of(metric: str, columns: Collection[str]) -> str:
+    """Name the column of an environment's metric, different from those of the table itself."""
+    return f"info_{metric}" if metric in columns else metric
