@@ -4,10 +4,12 @@ Where no Chromium is installed it is skipped, unless A2S_REQUIRE_BROWSER is set.
 A2S_WRITE_PICTURES the pictures of docs/ are written anew.
 """
 
+import math
 import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,11 +18,15 @@ import pytest
 from selenium import webdriver
 from system_helpers import OFTEN, REACH, Start, metrics_port, scrape
 
+from a2s.learner.page.history import History
+from a2s.learner.page.server import Server
+
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 WaitFor = Callable[..., None]
 DOCS = Path(__file__).parents[2] / "docs"
 NUM_FIGURES = 8  # there is no evaluation
+MIDNIGHT_S = 999_993_600.0  # 2001-09-09
 WIDE, PHONE = (1280, 1500), (390, 844)
 
 
@@ -118,6 +124,38 @@ def _violations(browser: webdriver.Chrome) -> list[str]:
         "const done = arguments[0]; axe.run().then((found) => done(found.violations))"
     )
     return [f"{each['id']}: {[n['html'] for n in each['nodes']]}" for each in found]
+
+
+def _add(history: History, after_s: float, training: float, evaluation: float) -> None:
+    """Add a metric of an environment, so many seconds after midnight, UTC."""
+    told = {"episode": training, "eval": evaluation}
+    samples = {f'a2s_learner_{n}_info_mean{{metric="x"}}': v for n, v in told.items()}
+    history.add(MIDNIGHT_S + after_s, samples)
+
+
+def test_times_are_of_the_day_and_legends_say_what_is_latest(
+    wait_for: WaitFor, browser: webdriver.Chrome
+) -> None:
+    """As ISO 8601 writes them; a metric of an environment in training and in evaluations."""
+    history = History("run")
+    for second in range(-30, 30):
+        _add(history, second, 0.5, 7.0 if second == 0 else math.nan)
+    browser.execute_cdp_cmd("Emulation.setTimezoneOverride", {"timezoneId": "UTC"})
+    legend = "#panels article:last-child .u-legend"
+    with closing(Server([history], "127.0.0.1", 0, "--port")) as server:
+        browser.get(f"http://127.0.0.1:{server.port}/")
+        wait_for(lambda: "x, mean of episodes" in _texts(browser, "#panels h2"), "the panel")
+        assert _texts(browser, f"{legend} .u-label") == ["time", "training", "evaluation"]
+        assert _texts(browser, f"{legend} .u-value") == ["2001-09-09 00:00:29", "0.5", "7"]
+        _add(history, 31, 0.75, math.nan)
+        wait_for(lambda: "0.75" in _texts(browser, f"{legend} .u-value"), "what is new")
+    shown = browser.execute_script(
+        "return times(null, [-60, -30, 0, 30].map((s) => arguments[0] + s), 0, 0, 30)", MIDNIGHT_S
+    )
+    assert shown == ["23:59:00\n2001-09-08", "23:59:30", "00:00:00\n2001-09-09", "00:00:30"]
+    assert browser.execute_script(
+        "return times(null, [0, 300].map((s) => arguments[0] + s), 0, 0, 300)", MIDNIGHT_S
+    ) == ["00:00\n2001-09-09", "00:05"]
 
 
 def test_several_runs_are_seen_on_one_page(

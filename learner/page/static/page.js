@@ -48,6 +48,17 @@ function clock(seconds) {
   return `${Math.floor(seconds / 3600)}:${two(seconds / 60 % 60)}:${two(seconds % 60)}`;
 }
 
+const stamp = (seconds) => new Date(1000 * seconds).toLocaleString("sv"); // 2026-11-29 22:33:20, as ISO 8601
+
+function times(_, ticks, axisIndex, space, every) { // the day where another one begins
+  const [days, parts] = [0, 11].map((from) => ticks.map((t) => stamp(t).slice(from, from ? (every % 60 ? 19 : 16) : 10)));
+  return parts.map((part, i) => (days[i] === days[i - 1] ? part : `${part}\n${days[i]}`));
+}
+
+function told(show) { // in a legend: the value under the cursor, or the latest
+  return (u, value, series, i) => show((i ?? null) === null ? u.data[series].findLast((v) => (v ?? null) !== null) : value);
+}
+
 function slots(run) {
   const found = new Set();
   for (const name of Object.keys(run.series)) {
@@ -248,13 +259,13 @@ function showPanels() {
     width: cards[i].lastChild.clientWidth, height: 230,
     scales: { x: { time: axis === "time" } },
     axes: [
-      { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line }, values: axis === "time" ? undefined : (_, xs) => xs.map(short), space: 70 },
+      { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line }, values: axis === "time" ? times : (_, xs) => xs.map(short), space: 80 },
       { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line }, size: 64, values: (_, ys) => ys.map(short) },
     ],
-    series: [{ label: axis === "time" ? "time" : "steps" }, ...runs.flatMap((run, r) => lines.map(([label], n) => ({
+    series: [{ label: axis, value: told(axis === "time" ? (t) => (t === undefined ? "-" : stamp(t)) : short) }, ...runs.flatMap((run, r) => lines.map(([label], n) => ({
       label: runs.length > 1 ? `${nameOf(run)}: ${label}` : label, spanGaps: true,
       stroke: COLOURS[(runs.length > 1 ? r : n) % COLOURS.length], dash: runs.length > 1 && n > 0 ? [2 + 2 * n, 3] : undefined,
-      width: n > 0 ? 1 : 2, value: (_, v) => short(v),
+      width: n > 0 ? 1 : 2, value: told(short),
     })))],
     hooks: i === 0 ? { draw: [marked] } : {},
   }, data[i], cards[i].lastChild));
