@@ -282,3 +282,4 @@ class RunStatus:
     unix_s: float = 0.0  # the learner's clock when it answered; 0: not told
     evaluation_return: float = 0.0  # mean return of the latest evaluation
     evaluation_steps: int = 0  # of the run, when it had those weights; 0: there was no evaluation
+    variant: str = ""  # on-policy or off-policy; empty: not told

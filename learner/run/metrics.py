@@ -244,6 +244,9 @@ class LearnerMetrics:
     def go_on(self, status: Status) -> None:
         """Count from where a run was; its steps are counted by the ledger."""
         self.updates.inc(status.rows)
+        if status.run.variant == "off-policy":
+            for network in ("q", "policy"):
+                self.gradient_steps.labels(network=network).inc(status.updates)
         self.episodes.inc(status.episodes.count)
         self.recoveries.inc(status.num_recoveries)
         self.show_episodes(status.episodes)

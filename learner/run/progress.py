@@ -12,6 +12,7 @@ from rich.text import Text
 from a2s.learner.ingest.members import Member
 from a2s.learner.numerals import written
 from a2s.learner.run.limits import Shares
+from a2s.learner.run.run_config import COUNTED
 from a2s.learner.run.status import Status
 
 _BARS = " ▁▂▃▄▅▆▇█"
@@ -139,7 +140,7 @@ def _lines(
     num_envs = sum(member.num_envs for member in members)
     yield (
         f"return {_number(episodes.mean_return)}  best {_number(episodes.best)}  "
-        f"episodes {episodes.count:,}  updates {status.updates:,}"
+        f"episodes {episodes.count:,}  {COUNTED[status.run.variant]} {status.updates:,}"
         + ("" if kl is None else f"  KL {kl:.4f}")
     )
     if score := status.latest_score:

@@ -12,6 +12,8 @@ from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Clock
 
 Variant = Literal["on-policy", "off-policy"]
+# What is counted as an update.
+COUNTED = {"on-policy": "updates", "off-policy": "gradient steps"}
 Algo = Literal["a2s", "a2c"]
 Device = Literal["cpu", "cuda"]
 

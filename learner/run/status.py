@@ -34,6 +34,7 @@ class Status:
         generation: Number of this start of the learner.
         env_steps: Environment steps learned from, those of earlier starts included.
         steps_at_start: The same, when this learner started.
+        updates: Batches learned from; off-policy gradient steps.
         rows: Rows of ``updates.csv``.
         version: Newest weights that were published.
         acting: Their graph.
@@ -136,6 +137,7 @@ class Status:
             unix_s=time.time(),
             evaluation_return=self.latest_score.mean if self.latest_score else 0.0,
             evaluation_steps=self.latest_score.env_steps if self.latest_score else 0,
+            variant=self.run.variant,
         )
 
     def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:

@@ -34,6 +34,10 @@ def test_a_page_has_progress_limit_and_a_row_an_actor() -> None:
     ]
 
 
+def test_what_off_policy_counts_are_gradient_steps() -> None:
+    assert "  gradient steps 201  " in list(page(replace(RUN, variant="off-policy")))[1]
+
+
 def test_before_the_first_step_nothing_is_divided_by_it() -> None:
     """No rate, no return, no time of the actor."""
     idle = replace(ACTOR, environment_s=0.0, selection_s=0.0, waiting_s=0.0)

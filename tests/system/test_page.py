@@ -127,10 +127,14 @@ def _violations(browser: webdriver.Chrome) -> list[str]:
 
 
 def _add(history: History, after_s: float, training: float, evaluation: float) -> None:
-    """Add a metric of an environment, so many seconds after midnight, UTC."""
+    """Add to an off-policy run a metric of its environment, seconds after midnight, UTC."""
     told = {"episode": training, "eval": evaluation}
     samples = {f'a2s_learner_{n}_info_mean{{metric="x"}}': v for n, v in told.items()}
-    history.add(MIDNIGHT_S + after_s, samples)
+    steps = {
+        'a2s_learner_gradient_steps_total{network="policy"}': 40.0,
+        "a2s_learner_updates_total": 2,
+    }
+    history.add(MIDNIGHT_S + after_s, samples | steps)
 
 
 def test_times_are_of_the_day_and_legends_say_what_is_latest(
@@ -145,6 +149,7 @@ def test_times_are_of_the_day_and_legends_say_what_is_latest(
     with closing(Server([history], "127.0.0.1", 0, "--port")) as server:
         browser.get(f"http://127.0.0.1:{server.port}/")
         wait_for(lambda: "x, mean of episodes" in _texts(browser, "#panels h2"), "the panel")
+        assert "Gradient steps40" in _texts(browser, "#runs dl div")  # and not updates, its rounds
         assert _texts(browser, f"{legend} .u-label") == ["time", "training", "evaluation"]
         assert _texts(browser, f"{legend} .u-value") == ["2001-09-09 00:00:29", "0.5", "7"]
         _add(history, 31, 0.75, math.nan)

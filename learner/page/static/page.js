@@ -3,6 +3,7 @@
 const EVERY_MS = 2000, KEPT_S = 7200, RATE_S = 20, SILENT_S = 30;
 const COLOURS = ["#2f6fdb", "#d9480f", "#2b8a3e", "#ae3ec9", "#0c8599", "#e67700", "#c2255c", "#5c7cfa"];
 const L = "a2s_learner_", STEPS = `${L}env_steps_total`, RECOVERIES = `${L}recoveries_total`;
+const UPDATES = `${L}updates_total`, GRADIENT_STEPS = `${L}gradient_steps_total{network="policy"}`; // the latter off-policy alone
 const PARTS = ["environment", "selection", "learner", "network"];
 const PANELS = [
   ["Return of an episode", [["training", "episode_return_mean"], ["least", "episode_return_min"],
@@ -117,7 +118,7 @@ function showRuns() {
       ["Return", last(run, `${L}episode_return_mean`), `${L}episode_return_mean`],
       ["Evaluation", last(run, `${L}eval_return_mean`), `${L}eval_return_mean`],
       ["Episodes", last(run, `${L}episodes_total`), `${L}episodes_total`],
-      ["Updates", last(run, `${L}updates_total`), `${L}updates_total`],
+      GRADIENT_STEPS in run.series ? ["Gradient steps", last(run, GRADIENT_STEPS), GRADIENT_STEPS] : ["Updates", last(run, UPDATES), UPDATES],
       ["Version", last(run, `${L}weights_version`), `${L}weights_version`],
       ["Recoveries", last(run, RECOVERIES), RECOVERIES],
       ["Actors", last(run, `${L}actors`), `${L}actors`], ["Limited by", limit(run)],
@@ -171,7 +172,7 @@ function alertsOf(run) {
     if (state !== "plays" && !done) found.push(`actor ${slot} is ${state}`);
   }
   if (grew(run, `${L}checkpoint_failures_total`, 600) > 0) found.push("a checkpoint could not be written");
-  if (grew(run, RECOVERIES, 900) > Math.max(3, grew(run, `${L}updates_total`, 900) / 4)) found.push("more than a quarter of all updates are undone by recoveries");
+  if (grew(run, RECOVERIES, 900) > Math.max(3, grew(run, UPDATES, 900) / 4)) found.push("more than a quarter of all updates are undone by recoveries");
   const stale = grew(run, `${L}transitions_received_total{result="stale"}`, 300);
   const received = ["accepted", "duplicate", "stale", "refused", "unknown"].reduce((sum, v) => sum + grew(run, `${L}transitions_received_total{result="${v}"}`, 300), 0);
   if (received > 0 && stale > 0.1 * received) found.push(`${Math.round(100 * stale / received)} % of the transitions are too old`);

@@ -36,7 +36,7 @@ from a2s.learner.run.config import Configuration
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
-from a2s.learner.run.run_config import RunConfig
+from a2s.learner.run.run_config import COUNTED, RunConfig
 from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
@@ -151,7 +151,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
             summary = place.run(learner, stop)
         typer.echo(
             f"{summary['env_steps']:,} steps in {summary['wall_s']:.0f} s, "
-            f"{summary['episodes']:,} episodes, {summary['updates']:,} updates, "
+            f"{summary['episodes']:,} episodes, {summary['updates']:,} {COUNTED[run.variant]}, "
             f"{summary['recoveries']} recoveries",
             place.out,
         )
@@ -226,7 +226,7 @@ def learn_from(
             place.out,
         )
         summary = place.run(learner, stop)
-    typer.echo(f"{summary['updates']:,} updates in {summary['wall_s']:.0f} s", place.out)
+    typer.echo(f"{summary['updates']:,} gradient steps in {summary['wall_s']:.0f} s", place.out)
     typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
     return place.end(summary, stop)
 

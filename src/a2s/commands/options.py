@@ -140,7 +140,8 @@ Tensorboard = Annotated[bool | None, option(
 )]
 KeepPolicyEvery = Annotated[int | None, whole_number(
     _RUN, "--keep-policy-every", low=0, show_default="0",
-    help="Keep a copy of the policy in policies/ after every N updates; 0: never.",
+    help="Keep a copy of the policy in policies/ after every N updates (off-policy gradient steps)."
+    " 0: never.",
 )]
 EvaluateEvery = Annotated[int | None, whole_number(
     _RUN, "--evaluate-every", low=0, show_default="0",

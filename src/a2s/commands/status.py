@@ -15,6 +15,7 @@ import typer
 from a2s.learner.numerals import written
 from a2s.learner.run import config as configuration
 from a2s.learner.run import directory as run_directory
+from a2s.learner.run.run_config import COUNTED
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.keys import Keys
@@ -75,7 +76,8 @@ def page(told: RunStatus) -> Iterator[str]:
     yield line
     mean = "-" if math.isnan(told.return_mean) else written(told.return_mean)
     yield (
-        f"return {mean}  episodes {told.episodes:,}  updates {told.updates:,}  "
+        f"return {mean}  episodes {told.episodes:,}  "
+        f"{COUNTED.get(told.variant, 'updates')} {told.updates:,}  "
         f"version {told.weights_version}  recoveries {told.epoch}"
     )
     if told.evaluation_steps:

@@ -20,6 +20,14 @@ def test_a_resumed_run_counts_from_where_it_was() -> None:
     assert _value(metrics, "episode_return_mean") == 2.0
 
 
+def test_off_policy_gradient_steps_go_on_as_well() -> None:
+    """Several in each round."""
+    metrics, run = LearnerMetrics(), RunConfig(variant="off-policy", clock="async")
+    metrics.go_on(Status(run, rows=3, updates=90))
+    counted = [_value(metrics, "gradient_steps_total", network=n) for n in ("q", "policy")]
+    assert (counted, _value(metrics, "updates_total")) == ([90.0, 90.0], 3.0)
+
+
 def test_an_actor_that_leaves_is_shown_as_gone() -> None:
     metrics = LearnerMetrics()
     members = [Member(actor=name, slot=i, num_envs=1, heard_s=0.0) for i, name in enumerate("ab")]

@@ -58,6 +58,7 @@ def test_the_display_shows_the_numbers(status: Status) -> None:
     text = out.getvalue()
     for expected in (
         "hopper",
+        "updates 1",
         "2,048 of 10,000",
         "103.2",
         "2 with 16 environments",
@@ -65,6 +66,14 @@ def test_the_display_shows_the_numbers(status: Status) -> None:
         "at 1,024",
     ):
         assert expected in text
+
+
+def test_what_off_policy_counts_are_gradient_steps() -> None:
+    out, run = io.StringIO(), RunConfig(variant="off-policy", clock="async")
+    view = LiveView(Console(file=out, force_terminal=True, width=120), "hopper")
+    view.show(Status(run, updates=90), [], None)
+    view.close()
+    assert "gradient steps 90" in out.getvalue()
 
 
 def test_a_curve_is_drawn_between_its_extremes_and_never_longer_than_a_line() -> None:
