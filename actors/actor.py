@@ -92,7 +92,7 @@ class Actor:
         self._notice: Notice | None = None
         self._rollout: Rollout | None = None
         self._ended = threading.Event()
-        self._patience = Patience()
+        self._patience = Patience(bus, self._keys, speaks=task.worker == 0)
 
     def run(self) -> None:
         """Play until stopped.

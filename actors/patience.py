@@ -1,7 +1,13 @@
 """A wait that is said aloud."""
 
 import logging
+from collections.abc import Callable
 from time import monotonic
+
+from a2s.protocol.codec import decode
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import RunStatus
+from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)
 
@@ -9,23 +15,48 @@ _SAID_EVERY_S = 10.0
 
 
 class Patience:
-    """Says every ten seconds what a process still waits for."""
+    """Says every ten seconds what a process still waits for.
 
-    def __init__(self) -> None:
+    When the run has ended, that is said once, by the first worker alone (``speaks``), and no more:
+    nobody has to start anything.
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, *, speaks: bool, clock: Callable[[], float] = monotonic
+    ) -> None:
+        self._run, self._speaks, self._clock = keys.run, speaks, clock
         self._since_s: float | None = None
         self._said_s = 0.0
+        self._run_ended = self._has_waited_since = False
+        bus.subscribe(keys.status, self._hear)
 
     def over(self) -> None:
         """The wait is over."""
         self._since_s = None
+        if self._has_waited_since:  # an answer that came with the end is no sign of another learner
+            self._run_ended = self._has_waited_since = False
 
     def wait_for(self, what: str) -> None:
         """Say it if it is time; to be called again and again while the wait lasts."""
-        now_s = monotonic()
-        if self._since_s is None:
+        now_s = self._clock()
+        if self._run_ended:
+            self._has_waited_since = True
+        elif self._since_s is None:
             self._since_s = self._said_s = now_s
         elif now_s - self._said_s >= _SAID_EVERY_S:
             self._said_s = now_s
             logger.warning(
                 "waiting for %s for %.0f s; is `a2s learner` running?", what, now_s - self._since_s
             )
+
+    def _hear(self, payload: bytes) -> None:
+        """Take what the learner says of itself unasked: that the run has ended."""
+        told = decode(payload, RunStatus)
+        assert isinstance(told, RunStatus)
+        if told.ended and not self._run_ended:
+            self._run_ended = True
+            if self._speaks:
+                logger.warning(
+                    "run %r has ended: %s; waiting for a learner that goes on with it, or for a "
+                    "new run", self._run, told.ended,
+                )  # fmt: skip

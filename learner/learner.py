@@ -86,9 +86,8 @@ class Learner:
     @property
     def done(self) -> str:
         """Why there is nothing to do; empty: there is."""
-        if self._status.is_good:
-            return "an evaluation was good enough; a higher --stop-at-return for more"
-        return "all steps are made; --total-steps for more" if self._status.is_finished else ""
+        option = "a higher --stop-at-return" if self._status.is_good else "--total-steps"
+        return f"{self._status.ended}; {option} for more" if self._status.ended else ""
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Learn until ``total_steps``, or until stopped.

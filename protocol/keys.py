@@ -28,7 +28,7 @@ class Keys:
         self.notice = f"{prefix}/notice"  # publication and query: newest Notice
         self.weights = f"{prefix}/weights"  # query: newest Weights
         self.recovery = f"{prefix}/recovery"  # publication: RecoveryEvent
-        self.status = f"{prefix}/status"  # query: RunStatus
+        self.status = f"{prefix}/status"  # query, and publication at the end of the run: RunStatus
         self.replay_info = f"{prefix}/replay/info"  # query: ReplayInfo
         self.replay_sample = f"{prefix}/replay/sample"  # query: ReplayRequest -> ReplaySample
         self.evaluation_task = f"{prefix}/evaluation/task"  # query: EvaluationRequest -> its Task

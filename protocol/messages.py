@@ -283,3 +283,4 @@ class RunStatus:
     evaluation_return: float = 0.0  # mean return of the latest evaluation
     evaluation_steps: int = 0  # of the run, when it had those weights; 0: there was no evaluation
     variant: str = ""  # on-policy or off-policy; empty: not told
+    ended: str = ""  # why the run has ended; empty: it has not

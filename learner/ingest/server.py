@@ -44,10 +44,11 @@ class Server(Feed):
         self._evaluations = evaluations
         self._lock = threading.Lock()
         self._newest = b"", b""  # notice and weights
+        self._status: Callable[[], RunStatus] | None = None
 
     def open(self, status: Callable[[], RunStatus]) -> None:
         """Declare everything; the presence comes last, when all else can be answered."""
-        bus, keys = self._bus, self._keys
+        bus, keys, self._status = self._bus, self._keys, status
         bus.answer(keys.notice, lambda _: self._give_newest()[0])
         bus.answer(keys.weights, lambda _: self._give_newest()[1])
         bus.answer(keys.hello, self._on_hello)
@@ -89,7 +90,9 @@ class Server(Feed):
         return self._ingest.next_batch(proceed)
 
     def stop(self) -> None:
-        """Stop listening."""
+        """Stop listening; if the run has ended, actors are told."""
+        if self._status is not None and (told := self._status()).ended:
+            self._bus.publish(self._keys.status, encode(told))
         self._bus.close()
 
     def take(self) -> list[Arrival]:

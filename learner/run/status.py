@@ -86,6 +86,13 @@ class Status:
         return self.best_score is not None and self.best_score.mean >= self.run.stop_at_return
 
     @property
+    def ended(self) -> str:
+        """Why the run is at its end; empty: it is not."""
+        if self.is_good:
+            return "an evaluation was good enough"
+        return "all steps are made" if self.is_finished else ""
+
+    @property
     def fraction(self) -> float:
         """Fraction of the run that is done, 0..1."""
         return min(1.0, self.env_steps / self.run.total_steps)
@@ -138,6 +145,7 @@ class Status:
             evaluation_return=self.latest_score.mean if self.latest_score else 0.0,
             evaluation_steps=self.latest_score.env_steps if self.latest_score else 0,
             variant=self.run.variant,
+            ended=self.ended,
         )
 
     def summary(self, attendance: Attendance, graph: bytes) -> dict[str, Any]:

@@ -148,16 +148,16 @@ GOLDEN: list[tuple[Message, bytes]] = [
             run="r", generation=1, env_id="E", env_steps=2, total_steps=3, episodes=4, updates=5,
             weights_version=6, epoch=7, return_mean=0.5, env_steps_per_s=0.5, waiting_for="",
             actors=(STATUS,), learning_s=0.5, limited_by="network", unix_s=0.5,
-            evaluation_return=0.5, evaluation_steps=8, variant="v",
+            evaluation_return=0.5, evaluation_steps=8, variant="v", ended="e",
         ),
-        b"\xde\x00\x15\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\xde\x00\x16\xa3a2s\x02\xa4kind\xa9RunStatus\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
         b"\xa9env_steps\x02\xabtotal_steps\x03\xa8episodes\x04\xa7updates\x05"
         b"\xafweights_version\x06\xa5epoch\x07\xabreturn_mean" + FLOAT64_HALF +
         b"\xafenv_steps_per_s" + FLOAT64_HALF + b"\xabwaiting_for\xa0"
         b"\xa6actors\x91\xde\x00\x11" + STATUS_FIELDS +
         b"\xaalearning_s" + FLOAT64_HALF + b"\xaalimited_by\xa7network\xa6unix_s" + FLOAT64_HALF +
         b"\xb1evaluation_return" + FLOAT64_HALF + b"\xb0evaluation_steps\x08"
-        b"\xa7variant\xa1v",
+        b"\xa7variant\xa1v\xa5ended\xa1e",
     ),
     (
         ReplayInfo(run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3),
@@ -226,7 +226,7 @@ DEFAULTS: dict[type, dict[str, object]] = {
     },
     RunStatus: {
         "learning_s": 0.0, "limited_by": "", "unix_s": 0.0,
-        "evaluation_return": 0.0, "evaluation_steps": 0, "variant": "",
+        "evaluation_return": 0.0, "evaluation_steps": 0, "variant": "", "ended": "",
     },
     EvaluationResult: {"metrics": ()},
 }  # fmt: skip

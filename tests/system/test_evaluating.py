@@ -59,7 +59,11 @@ def test_an_evaluator_joins_late_and_is_replaced_when_it_dies(
     assert json.loads((run / "summary.json").read_text())["finished"]
     assert [row["mode"] for row in _rows(run)][:2] == ["mean", "best-of-k"]
     assert "worker 0 is replaced" in evaluator.text()
+    said = (
+        "run 'default' has ended: an evaluation was good enough; waiting for a learner that goes on"
+    )
     for command in (actors, evaluator):
+        wait_for(lambda c=command: said in c.text(), "word of the end")
         assert command.end() == 130, command.text()
 
 

@@ -1,0 +1,58 @@
+"""What an actor says while it waits, and when the run has ended."""
+
+from dataclasses import replace
+from itertools import count
+
+import pytest
+
+from a2s.actors.patience import Patience
+from a2s.protocol.codec import encode
+from a2s.protocol.in_process import Exchange, InProcessBus
+from a2s.protocol.keys import Keys
+from a2s.protocol.messages import RunStatus
+
+KEYS = Keys("hop")
+GOES_ON = RunStatus(
+    run="hop", generation=1, env_id="E", env_steps=9, total_steps=9, episodes=1, updates=1,
+    weights_version=2, epoch=0, return_mean=0.0, env_steps_per_s=1.0, waiting_for="", actors=(),
+)  # fmt: skip
+ENDED = replace(GOES_ON, ended="all steps are made")
+WAITS = ["waiting for an answer for 10 s; is `a2s learner` running?"]
+
+
+def _wait(patience: Patience) -> None:
+    """For 15 seconds: each call is one."""
+    for _ in range(16):
+        patience.wait_for("an answer")
+
+
+@pytest.mark.parametrize(
+    ("told", "speaks", "said"),
+    [
+        (GOES_ON, True, WAITS),
+        (ENDED, False, []),
+        (
+            ENDED,
+            True,
+            [
+                "run 'hop' has ended: all steps are made; waiting for a learner that goes on with "
+                "it, or for a new run"
+            ],
+        ),
+    ],
+    ids=["goes on", "another worker says it", "ended"],
+)
+def test_the_end_of_a_run_is_said_once_instead_of_what_is_waited_for(
+    caplog: pytest.LogCaptureFixture, told: RunStatus, speaks: bool, said: list[str]
+) -> None:
+    """A late answer changes nothing; that of the next learner does."""
+    bus, seconds = InProcessBus(Exchange()), count()
+    patience = Patience(bus, KEYS, speaks=speaks, clock=lambda: float(next(seconds)))
+    bus.publish(KEYS.status, encode(told))
+    patience.over()
+    _wait(patience)
+    assert caplog.messages == said
+    caplog.clear()
+    patience.over()
+    _wait(patience)
+    assert caplog.messages == WAITS
