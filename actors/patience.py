@@ -5,7 +5,7 @@ from collections.abc import Callable
 from time import monotonic
 
 from a2s.protocol.codec import decode
-from a2s.protocol.keys import Keys
+from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import RunStatus
 from a2s.protocol.transport import Bus
 
@@ -24,7 +24,7 @@ class Patience:
     def __init__(
         self, bus: Bus, keys: Keys, *, speaks: bool, clock: Callable[[], float] = monotonic
     ) -> None:
-        self._run, self._speaks, self._clock = keys.run, speaks, clock
+        self._bus, self._run, self._speaks, self._clock = bus, keys.run, speaks, clock
         self._since_s: float | None = None
         self._said_s = 0.0
         self._run_ended = self._has_waited_since = False
@@ -45,9 +45,8 @@ class Patience:
             self._since_s = self._said_s = now_s
         elif now_s - self._said_s >= _SAID_EVERY_S:
             self._said_s = now_s
-            logger.warning(
-                "waiting for %s for %.0f s; is `a2s learner` running?", what, now_s - self._since_s
-            )
+            hint = other_runs(self._bus, self._run) or "; is `a2s learner` running?"
+            logger.warning("waiting for %s for %.0f s%s", what, now_s - self._since_s, hint)
 
     def _hear(self, payload: bytes) -> None:
         """Take what the learner says of itself unasked: that the run has ended."""

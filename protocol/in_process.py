@@ -72,6 +72,11 @@ class InProcessBus:
         for found in present:
             handler(found, True)
 
+    def present(self, key: str, timeout_s: float) -> list[str]:
+        """Look who is there."""
+        with self._exchange.lock:
+            return [each for each in self._exchange.presence if _matches(each, key)]
+
     def close(self) -> None:
         """Take back everything that this peer declared."""
         hub = self._exchange

@@ -5,9 +5,24 @@ The 2 is the major version of the protocol: peers of another one never meet.
 
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import NAME, is_name
+from a2s.protocol.transport import Bus
 
 MAJOR = 2
+_ANY_LEARNER = f"a2s/{MAJOR}/*/live/learner"
+_LOOK_S, _MOST_NAMED = 1.0, 5
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+
+def other_runs(bus: Bus, run: str) -> str:
+    """Say which other runs have a learner where ``bus`` leads; empty: none.
+
+    For the end of a message: ``"; found run 'hop' there, name it with --run"``.
+    """
+    found = {key.split("/")[2] for key in bus.present(_ANY_LEARNER, _LOOK_S)} - {run}
+    if not found:
+        return ""
+    names = ", ".join(map(repr, sorted(found)[:_MOST_NAMED]))
+    return f"; found {'run' if len(found) == 1 else 'runs'} {names} there, name it with --run"
 
 
 class Keys:

@@ -51,6 +51,10 @@ class Bus(Protocol):
         """Call ``handler(key, present)`` for all who are present, who come and who leave."""
         ...
 
+    def present(self, key: str, timeout_s: float) -> list[str]:
+        """Look who is present under ``key`` now."""
+        ...
+
     def close(self) -> None:
         """End the connection; nothing is heard afterwards. May be called twice."""
         ...

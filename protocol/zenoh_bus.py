@@ -162,6 +162,11 @@ class ZenohBus:
             self._session.liveliness().declare_subscriber(key, on_token, history=True)
         )
 
+    def present(self, key: str, timeout_s: float) -> list[str]:
+        """Ask for liveliness tokens."""
+        replies = self._session.liveliness().get(key, timeout=timeout_s)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
     def close(self) -> None:
         """Close the session."""
         if not self._session.is_closed():

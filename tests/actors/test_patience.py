@@ -56,3 +56,14 @@ def test_the_end_of_a_run_is_said_once_instead_of_what_is_waited_for(
     patience.over()
     _wait(patience)
     assert caplog.messages == WAITS
+
+
+def test_who_waits_for_a_run_of_another_name_is_told_those_that_are_there(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bus, seconds = InProcessBus(Exchange()), count()
+    for name in ("walk", "hopp"):
+        bus.declare_presence(Keys(name).live_learner)
+    _wait(Patience(bus, KEYS, speaks=True, clock=lambda: float(next(seconds))))
+    there = "found runs 'hopp', 'walk' there, name it with --run"
+    assert caplog.messages == [f"waiting for an answer for 10 s; {there}"]

@@ -326,6 +326,17 @@ def test_those_who_are_present_are_told_first(network: Network, learner: Bus) ->
     assert seen.until(("a2s/r/live/actor/h-3", True))[2:] == [("a2s/r/live/actor/h-3", True)]
 
 
+def test_who_is_present_can_be_asked_for(network: Network, learner: Bus, actor: Bus) -> None:
+    """From either side, also by a part of the key."""
+    other, here = network.actor(), ["a2s/r/live/learner", "a2s/s/live/learner"]
+    for bus, key in zip((learner, other), here, strict=True):
+        bus.declare_presence(key)
+    settle(learner, actor, other)
+    for bus in (learner, actor):
+        assert sorted(bus.present("a2s/*/live/learner", DEADLINE_S)) == here
+        assert bus.present(LIVE, DEADLINE_S) == []
+
+
 def test_who_comes_and_withdraws_is_seen(learner: Bus, actor: Bus) -> None:
     """Once each, and again when it comes back; nobody is told of what was not there."""
     seen, one, two = Heard(), "a2s/r/live/actor/h-1", "a2s/r/live/actor/h-2"

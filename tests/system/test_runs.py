@@ -162,7 +162,8 @@ def test_a_live_run_is_watched_and_found_by_the_doctor(
     watcher = start("status", "--watch", "seen", "--json")
     stranger = start("status", *look)
     assert stranger.process.wait(PATIENCE_S) == 1
-    assert "no answer for run 'default'" in stranger.text()
+    said = "no answer for run 'default'; found run 'seen' there, name it with --run\n"
+    assert said in stranger.text()
     doctor = start("doctor", "--connect", endpoint, "--run", "seen", "--json")
     assert doctor.process.wait(PATIENCE_S) == 0, doctor.text()
     states = {each["name"]: each["state"] for each in json.loads(doctor.text().splitlines()[-1])}

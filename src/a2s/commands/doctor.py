@@ -20,7 +20,7 @@ from a2s.commands.rendering import HELP, find_backend
 from a2s.commands.status import ask
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, MalformedMessageError, UnreachableError
-from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
+from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys, other_runs
 from a2s.protocol.zenoh_bus import ZenohBus
 
 State = Literal["ok", "note", "fail"]
@@ -178,7 +178,8 @@ def _learner(connect: str | None, run: str) -> Iterator[Finding]:
                 yield Finding("learner", "fail", str(error), remedy)
                 return
             if told is None:
-                found = f"{endpoint}: connected, no answer for run {run!r}"
+                others = other_runs(bus, run)
+                found = f"{endpoint}: connected, no answer for run {run!r}{others}"
                 remedy = "name the run with --run; a release of another protocol is silent, too"
                 yield Finding("learner", "fail", found, remedy)
                 return

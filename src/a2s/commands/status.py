@@ -18,7 +18,7 @@ from a2s.learner.run import directory as run_directory
 from a2s.learner.run.run_config import COUNTED
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import UnreachableError
-from a2s.protocol.keys import Keys
+from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import ActorStatus, RunStatus
 from a2s.protocol.transport import Bus
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -39,10 +39,10 @@ def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threadin
     with closing(ZenohBus.connect(connect, lambda: False)) as bus:
         told = ask(bus, keys)
         if told is None:
-            raise UnreachableError(
-                f"{connect}: no answer for run {run!r}; name another with --run, "
-                "or look whether its learner is up"
+            hint = other_runs(bus, run) or (
+                "; name another with --run, or look whether its learner is up"
             )
+            raise UnreachableError(f"{connect}: no answer for run {run!r}{hint}")
         while not stop.is_set():
             text = json.dumps(_as_json(told)) if as_json else "\n".join(page(told))
             typer.echo(f"{_CLEAR if watch and is_terminal and not as_json else ''}{text}")
