@@ -2,7 +2,6 @@
 
 import json
 import logging
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +15,14 @@ from a2s.actors.children import ask_child
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import MAX_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
-from a2s.actors.rollout import ENDLESS_STEPS, is_usable
+from a2s.actors.rollout import (
+    ENDLESS_STEPS,
+    MAX_USELESS_IN_A_ROW,
+    is_usable,
+    useless,
+    wrong_in,
+    wrong_reward,
+)
 from a2s.actors.suggester import Choice, Mode, Suggester
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError
@@ -36,11 +42,13 @@ class Evaluation:
         returns: Undiscounted return of each episode.
         lengths: Steps of each episode.
         metrics: Mean over the episodes of the environment's metrics at their ends, by name.
+        unusable_steps: Steps with numbers that are not finite or too large.
     """
 
     returns: list[float]
     lengths: list[int]
     metrics: dict[str, float]
+    unusable_steps: int = 0
 
     @property
     def mean(self) -> float:
@@ -174,6 +182,8 @@ class Episodes:
         self._returns, self._lengths = [0.0] * episodes, [0] * episodes
         self._metrics: dict[str, list[float]] = defaultdict(list)
         self._cut = self._unusable = 0
+        self._useless = [0] * len(environments)  # unusable in a row, steps or first observations
+        self._wrong = ""  # what was found there at first
         self._episode = [0] * len(environments)
         self._waiting = list(range(episodes))
         self._obs: dict[int, Array] = {}  # the latest of each environment that still plays
@@ -198,11 +208,17 @@ class Episodes:
         """Make a step in an environment; where its episode ends, begin the next."""
         environment, episode = self._environments[index], self._episode[index]
         obs, reward, terminated, truncated = environment.step(action)
-        if not (is_usable(obs) and math.isfinite(reward)):
+        wrong = wrong_reward(reward)
+        if not (terminated or truncated or is_usable(obs)):  # after the end nobody looks at it
+            wrong = wrong or wrong_in(obs)
+            obs = self._obs[index]
+        if wrong:
             # As a robot would whose sensor fails for a moment: go on with what was seen last.
             self._unusable += 1
-            obs = obs if is_usable(obs) else self._obs[index]
-            reward = reward if math.isfinite(reward) else 0.0
+            self._note(index, wrong)
+            reward = 0.0 if wrong_reward(reward) else reward
+        else:
+            self._useless[index] = 0
         self._returns[episode] += reward
         self._lengths[episode] += 1
         is_endless = environment.episode_limit is None and self._lengths[episode] >= ENDLESS_STEPS
@@ -219,7 +235,18 @@ class Episodes:
             del self._obs[index]
             return
         self._episode[index] = self._waiting.pop(0)
-        self._obs[index] = self._environments[index].reset(self._seeds[self._episode[index]])
+        obs = self._environments[index].reset(self._seeds[self._episode[index]])
+        while not is_usable(obs):
+            self._note(index, wrong_in(obs))
+            obs = self._environments[index].reset(None)
+        self._obs[index] = obs
+
+    def _note(self, index: int, wrong: str) -> None:
+        """Remember what could not be used; an environment that gives nothing else is broken."""
+        self._wrong = self._wrong or wrong
+        self._useless[index] += 1
+        if self._useless[index] >= MAX_USELESS_IN_A_ROW:
+            raise useless(self._environments[index].name, wrong)
 
     def evaluation(self) -> Evaluation:
         """Sum up the episodes, and report unusual ones."""
@@ -232,12 +259,17 @@ class Episodes:
             )  # fmt: skip
         if self._unusable:
             logger.warning(
-                "environment %s: %d steps had numbers that are not finite or too large; the "
-                "observation before, or a reward of 0, was used",
-                name, self._unusable,
+                "environment %s: %d steps had numbers that are not finite or too large (%s); the "
+                "observation before, or a reward of 0, was used, so returns are not what they seem",
+                name, self._unusable, self._wrong,
             )  # fmt: skip
         means = {name: float(np.mean(values)) for name, values in self._metrics.items()}
-        return Evaluation(returns=self._returns, lengths=self._lengths, metrics=means)
+        return Evaluation(
+            returns=self._returns,
+            lengths=self._lengths,
+            metrics=means,
+            unusable_steps=self._unusable,
+        )
 
 
 def _evaluate(parent: Parent) -> None:

@@ -16,7 +16,7 @@ from a2s.protocol.errors import FaultyEnvironmentError, MalformedMessageError
 from a2s.protocol.fields import Array
 from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric, Notice, Segment
 
-_MAX_USELESS_IN_A_ROW = 10
+MAX_USELESS_IN_A_ROW = 10
 _SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for all but the rows
 _FLOAT_BYTES = 4
 # An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
@@ -158,8 +158,8 @@ class Rollout:
     def _step(self, slot: _Slot, choice: Choice, row: int, notice: Notice) -> Iterator[Segment]:
         """Make a step in one environment; gives the segments that end with it."""
         obs, reward, terminated, truncated = slot.environment.step(choice.action[row])
-        if not -MAX_PLAYED <= reward <= MAX_PLAYED:  # false for NaN as well
-            return self._abandon(slot, notice, f"reward is {reward:g}", 1)
+        if wrong := wrong_reward(reward):
+            return self._abandon(slot, notice, wrong, 1)
         slot.rows.append((slot.obs, choice.suggestion[row], choice.log_prob[row], reward))
         slot.episode_return += reward
         slot.episode_length += 1
@@ -199,9 +199,7 @@ class Rollout:
                 slot.episode_return -= reward
                 slot.episode_length -= 1
                 slot.quota_steps -= 1
-            bad = int(np.flatnonzero(~(np.abs(obs) <= MAX_PLAYED))[0])
-            what = f"observation {bad} is {obs[bad]:g}"
-            yield from self._abandon(slot, notice, what, int(is_step))
+            yield from self._abandon(slot, notice, wrong_in(obs), int(is_step))
 
     def _abandon(self, slot: _Slot, notice: Notice, what: str, steps: int) -> Iterator[Segment]:
         """Cut the episode after the steps that can be used, and begin another."""
@@ -259,12 +257,8 @@ class Rollout:
         self._metrics.dropped.labels("malformed").inc(steps)
         self._troubles.dropped(slot.environment.name, what, steps)
         slot.useless += is_useless
-        if slot.useless >= _MAX_USELESS_IN_A_ROW:
-            raise FaultyEnvironmentError(
-                f"environment {slot.environment.name}: nothing that can be used in "
-                f"{_MAX_USELESS_IN_A_ROW} attempts in a row, at last: {what}",
-                by_mistake=True,
-            )
+        if slot.useless >= MAX_USELESS_IN_A_ROW:
+            raise useless(slot.environment.name, what)
 
 
 def is_usable(obs: Array) -> bool:
@@ -272,3 +266,24 @@ def is_usable(obs: Array) -> bool:
     flat = obs.reshape(-1)
     square = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
     return square <= MAX_PLAYED * MAX_PLAYED or bool((np.abs(flat) <= MAX_PLAYED).all())
+
+
+def wrong_in(obs: Array) -> str:
+    """Name the first number of an observation that is not usable."""
+    bad = int(np.flatnonzero(~(np.abs(obs) <= MAX_PLAYED))[0])
+    return f"observation {bad} is {obs[bad]:g}"
+
+
+def wrong_reward(reward: float) -> str:
+    """Name a reward that cannot be sent; empty: it can."""
+    is_usable = -MAX_PLAYED <= reward <= MAX_PLAYED  # false for NaN as well
+    return "" if is_usable else f"reward is {reward:g}"
+
+
+def useless(environment: str, what: str) -> FaultyEnvironmentError:
+    """Make the error of an environment that gives nothing usable."""
+    return FaultyEnvironmentError(
+        f"environment {environment}: nothing that can be used in {MAX_USELESS_IN_A_ROW} attempts "
+        f"in a row, at last: {what}",
+        by_mistake=True,
+    )

@@ -134,6 +134,8 @@ def _evaluate_kept(path: Path, output: Path) -> None:
         found = evaluate_run(
             policy, {}, episodes=10, mode="mean", weights="latest", seed=EVALUATION_SEED
         )
+        if found["unusable_steps"]:
+            sys.exit(f"{policy}: {found['unusable_steps']} steps could not be used, expected none")
         lines.append(f"{steps},{found['mean']:.1f},{wall_s[steps]}")
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text("\n".join(lines) + "\n")

@@ -79,6 +79,14 @@ def test_a_variable_that_is_set_for_training_does_not_change_what_a_run_plays(
     assert said[1].startswith(f"a2s_test_envs:{expected}"), said
 
 
+def test_what_could_not_be_used_is_told_beside_the_result(
+    policy: Path, a2s: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, out, error = a2s("evaluate", policy, "--env", "a2s_test_envs:NanReward-v0")
+    assert (code, error.count("reward is nan")) == (0, 1)
+    assert out.endswith("; 10 steps had numbers that could not be used\n")
+
+
 def test_a_policy_of_other_sizes_is_refused(policy: Path) -> None:
     with pytest.raises(UsageError, match=r"found .*\(2, 2\), expected \(11, 3\) for Hopper-v5"):
         _evaluate(policy, "Hopper-v5")

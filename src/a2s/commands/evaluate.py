@@ -66,6 +66,7 @@ def evaluate_run(
         "returns": list(result.returns),
         "lengths": list(result.lengths),
         "info_metrics": result.metrics,
+        "unusable_steps": result.unusable_steps,
     }
 
 
@@ -107,6 +108,8 @@ def line(result: dict[str, Any]) -> str:
     values = (result["mean"], result["std"], min(result["returns"]), max(result["returns"]))
     mean, std, low, high = map(written, values)
     told = "".join(f", {name} {value:.3g}" for name, value in result["info_metrics"].items())
+    if unusable := result["unusable_steps"]:
+        told += f"; {unusable:,} steps had numbers that could not be used"
     return (
         f"{result['env']}: {mean} +- {std} over {result['episodes']} episodes "
         f"({result['mode']}); from {low} to {high}{told}"
