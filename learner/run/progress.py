@@ -7,10 +7,12 @@ from typing import Protocol, TextIO
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
 from rich.text import Text
 
 from a2s.learner.ingest.members import Member
 from a2s.learner.numerals import written
+from a2s.learner.run.actor_table import ActorTable
 from a2s.learner.run.limits import Shares
 from a2s.learner.run.run_config import COUNTED
 from a2s.learner.run.status import Status
@@ -70,17 +72,20 @@ class PlainView:
 
 
 class _Display(Progress):
-    """A bar with lines of text below it."""
+    """A bar with lines of text below it, and a table of actors where there are any."""
 
     lines: tuple[str, ...] = ()
+    actors: Table | None = None
 
     def get_renderables(self) -> Iterable[RenderableType]:
         yield from super().get_renderables()
         yield Text("\n".join(self.lines))
+        if self.actors is not None:
+            yield self.actors
 
 
 class LiveView:
-    """A bar, the curve of returns and the numbers, redrawn in place."""
+    """A bar, the curve of returns, the numbers and the actors, redrawn in place."""
 
     def __init__(self, console: Console, title: str) -> None:
         self._title = title
@@ -93,6 +98,7 @@ class LiveView:
             console=console,
             auto_refresh=False,
         )
+        self._actors = ActorTable()
         self._task: TaskID | None = None
         self._drawn_s = 0.0
         self._waiting_since_s: float | None = None
@@ -117,6 +123,7 @@ class LiveView:
         display.update(self._task, completed=done, rate=display.tasks[0].speed or 0.0)
         waited_s = now_s - self._waiting_since_s
         display.lines = (sparkline(self._curve), *_lines(status, members, kl, waited_s))
+        display.actors = self._actors.draw(members, status.version, now_s)
         display.refresh()
 
     def close(self) -> None:

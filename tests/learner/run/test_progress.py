@@ -1,6 +1,7 @@
 """Progress: plain lines say all there is; the display says why it waits."""
 
 import io
+from math import inf
 
 import pytest
 from rich.console import Console
@@ -10,7 +11,7 @@ from a2s.learner.run.progress import LiveView, PlainView, sparkline, thin
 from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.status import Score, Status
 
-ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=0.0) for name in "ab"]
+ACTORS = [Member(actor=name, slot=0, num_envs=8, heard_s=inf) for name in "ab"]
 
 
 @pytest.fixture
@@ -64,6 +65,7 @@ def test_the_display_shows_the_numbers(status: Status) -> None:
         "2 with 16 environments",
         "0.0123",
         "at 1,024",
+        "has joined",
     ):
         assert expected in text
 
