@@ -1,13 +1,15 @@
 """Checkpoints: one directory each, written whole or not at all, with nothing that can run code.
 
-``checkpoints/00000120/`` holds ``tensors.safetensors`` and ``state.json``; the checksum of the
-first is in the second, so a damaged checkpoint is recognised and never half used.
+``checkpoints/00000120/`` holds ``tensors.safetensors``, ``state.json`` and, as `sha256sum` writes
+it, ``SHA256SUMS`` of both, so that a damaged checkpoint is recognised and never half used.
 """
 
 import hashlib
 import json
+import logging
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,11 @@ from torch import Tensor
 
 from a2s.protocol.errors import RunDirectoryError
 
+logger = logging.getLogger(__name__)
+
 _MAX_KEPT = 3
 _FORMAT = 5
+_TENSORS, _STATE, _SUMS = "tensors.safetensors", "state.json", "SHA256SUMS"
 
 
 def save(
@@ -37,32 +42,36 @@ def save(
     """
     path = _free(folder, f"{updates:08d}")
     partial = folder / f".{path.name}.partial"
+    whole = {"format": _FORMAT, "kind": kind, "state": state}
+    files = {
+        _TENSORS: safetensors.torch.save({k: v.contiguous() for k, v in tensors.items()}),
+        _STATE: json.dumps(whole).encode(),
+    }
+    files[_SUMS] = _sums(files)
     try:
-        shutil.rmtree(partial, ignore_errors=True)
+        for old in folder.glob(".*.partial"):  # what a kill, or a full disk, has left
+            shutil.rmtree(old, ignore_errors=True)
         partial.mkdir(parents=True)
-        data = safetensors.torch.save({k: v.contiguous() for k, v in tensors.items()})
-        sha256 = hashlib.sha256(data).hexdigest()
-        checked = {"format": _FORMAT, "kind": kind, "sha256": sha256, "state": state}
-        text = json.dumps(checked).encode()
-        _write(partial / "tensors.safetensors", data)
-        _write(partial / "state.json", text)
+        for name, data in files.items():
+            _write(partial / name, data)
         partial.rename(path)
     except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
         raise RunDirectoryError(f"checkpoint {path}: {error.strerror}") from error
     for old in _all(folder)[:-_MAX_KEPT]:
         shutil.rmtree(old, ignore_errors=True)
-    return path, len(data) + len(text)
+    return path, sum(len(data) for data in files.values())
 
 
 def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read the newest checkpoint of a run of this kind, or of any.
+    """Read the newest whole checkpoint of a run of this kind, or of any; say which are damaged.
 
     Returns:
         Tensors and state, as they were given to :func:`save`.
 
     Raises:
-        RunDirectoryError: The folder has no checkpoint, or the newest is of another kind or
-            damaged; it is never skipped silently for an older one.
+        RunDirectoryError: The folder has no whole checkpoint, or the newest is of another kind or
+            version.
     """
     found = _all(folder)
     if not found:
@@ -70,26 +79,51 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], d
             f"{folder}: found no checkpoint to go on from; name another --run-dir, or delete "
             f"{folder.parent}"
         )
-    path = found[-1]
-    advice = f"delete {path} to go on from the one before"
+    for path in reversed(found):
+        try:
+            return _read(path, kind)
+        except _DamagedError as error:
+            logger.warning("checkpoint %s: %s; going on from the one before", path, error)
+    raise RunDirectoryError(
+        f"{folder}: each of {len(found)} checkpoints is damaged; restore one, or begin another run"
+    )
+
+
+class _DamagedError(Exception):
+    """A checkpoint is not as it was written."""
+
+
+def _read(path: Path, kind: str | None) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
-        checked = json.loads((path / "state.json").read_text())
-        if checked["format"] != _FORMAT:
+        files = {name: (path / name).read_bytes() for name in (_TENSORS, _STATE)}
+        _require_format(path, files[_STATE])
+        if (path / _SUMS).read_bytes() != _sums(files):
+            raise _DamagedError("the checksums do not match")
+        whole = json.loads(files[_STATE])
+        if kind not in (None, whole["kind"]):
             raise RunDirectoryError(
-                f"checkpoint {path}: found format {checked['format']}, expected {_FORMAT}; another "
-                "version of a2s made it: go on with that one, or begin another run"
-            )
-        if kind not in (None, checked["kind"]):
-            raise RunDirectoryError(
-                f"checkpoint {path}: found {checked['kind']}, expected {kind}; "
+                f"checkpoint {path}: found {whole['kind']}, expected {kind}; "
                 "--resume goes on with the same run only"
             )
-        data = (path / "tensors.safetensors").read_bytes()
-        if hashlib.sha256(data).hexdigest() != checked["sha256"]:
-            raise RunDirectoryError(f"checkpoint {path}: the checksum does not match; {advice}")
-        return safetensors.torch.load(data), checked["state"]
+        return safetensors.torch.load(files[_TENSORS]), whole["state"]
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-        raise RunDirectoryError(f"checkpoint {path}: damaged ({error}); {advice}") from error
+        raise _DamagedError(str(error)) from None
+
+
+def _require_format(path: Path, state: bytes) -> None:
+    """Refuse one of another version; it need not have checksums."""
+    found = json.loads(state)["format"]
+    if found != _FORMAT and not (path / _SUMS).exists():
+        raise RunDirectoryError(
+            f"checkpoint {path}: found format {found}, expected {_FORMAT}; another version of a2s "
+            "made it: go on with that one, or begin another run"
+        )
+
+
+def _sums(files: Mapping[str, bytes]) -> bytes:
+    """One line for each of tensors and state."""
+    lines = [f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in (_TENSORS, _STATE)]
+    return "".join(lines).encode()
 
 
 def _free(folder: Path, name: str) -> Path:

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 from scripted_actors import Script
 
+Undisturbed = dict[str, tuple[Path, dict[str, Any]]]
+
 SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}
 ON_POLICY = {
     **SMALL, "batch_steps": 64, "first_batch_steps": 32, "window_steps": 256, "q_steps": 4,
@@ -45,7 +47,7 @@ def _table(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, dict[str, Any]]]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
     """Every way of learning, without a kill: its directory and its summary."""
     found = {}
     for way, (options, settings) in WAYS.items():
@@ -54,21 +56,36 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Pat
     return found
 
 
+def _require_equal(path: Path, found: dict[str, Any], before: Path, wanted: dict[str, Any]) -> None:
+    """Weights, accounts, episodes and updates are the same."""
+    assert found["weights_sha256"] == wanted["weights_sha256"]
+    for name in ("env_steps", "updates", "episodes", "return_mean_last_10", "recoveries"):
+        assert found[name] == wanted[name]
+    assert found["segments"]["accepted"] == wanted["segments"]["accepted"]
+    for name in ("updates.csv", "episodes.csv"):
+        assert _table(path / name) == _table(before / name)
+
+
 @pytest.mark.parametrize("kills", KILLS)
 @pytest.mark.parametrize("way", WAYS)
 def test_kill_and_resume_equal_no_kill(
-    way: str,
-    kills: str,
-    tmp_path: Path,
-    undisturbed: dict[str, tuple[Path, dict[str, Any]]],
+    way: str, kills: str, tmp_path: Path, undisturbed: Undisturbed
 ) -> None:
-    """Weights, accounts, episodes and updates; whatever the moment, and however often."""
-    before, expected = undisturbed[way]
+    """Whatever the moment, and however often."""
     path, (options, settings) = tmp_path / "run", WAYS[way]
     found = Script(path, options, settings, kill_at=KILLS[kills]).run()
-    assert found["weights_sha256"] == expected["weights_sha256"]
-    for name in ("env_steps", "updates", "episodes", "return_mean_last_10", "recoveries"):
-        assert found[name] == expected[name]
-    assert found["segments"]["accepted"] == expected["segments"]["accepted"]
-    for name in ("updates.csv", "episodes.csv"):
-        assert _table(path / name) == _table(before / name)
+    _require_equal(path, found, *undisturbed[way])
+
+
+@pytest.mark.parametrize("way", ["lockstep", "off-policy"])
+def test_and_so_does_going_on_from_the_checkpoint_before_a_damaged_one(
+    way: str, tmp_path: Path, undisturbed: Undisturbed, caplog: pytest.LogCaptureFixture
+) -> None:
+    def damage(path: Path) -> None:
+        newest = max((path / "checkpoints").iterdir()) / "tensors.safetensors"
+        newest.write_bytes(newest.read_bytes()[:-1])
+
+    path, (options, settings) = tmp_path / "run", WAYS[way]
+    found = Script(path, options, settings, kill_at=(62,), on_kill=damage).run()
+    _require_equal(path, found, *undisturbed[way])
+    assert "the checksums do not match; going on from the one before" in caplog.text

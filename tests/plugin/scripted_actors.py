@@ -89,7 +89,8 @@ class ScriptedActor:
 class Script:
     """A run of two scripted actors; ``settings`` are of the run and of the algorithm.
 
-    ``kill_at`` are numbers of segments before which the learner is killed.
+    ``kill_at`` are numbers of segments before which the learner is killed; then ``on_kill`` may
+    change what is left.
     """
 
     def __init__(
@@ -99,12 +100,13 @@ class Script:
         settings: Mapping[str, Any],
         *,
         kill_at: tuple[int, ...] = (),
+        on_kill: Callable[[Path], None] = lambda _: None,
         actors: int = 2,
     ) -> None:
         self._path, self._options, self._settings = path, options, settings
         self._kill_at, self._sent, self._left = kill_at, 0, path.with_name("left")
+        self._on_kill = on_kill
         self._actors = [ScriptedActor(slot, self._before_send) for slot in range(actors)]
-        self.updates_at_kill: list[int] = []
 
     def run(self) -> dict[str, Any]:
         """Learn to the end, however often that is interrupted; the last learner's summary."""
@@ -116,6 +118,7 @@ class Script:
             except Killed:
                 shutil.rmtree(self._path)
                 self._left.rename(self._path)
+                self._on_kill(self._path)
                 resume = True
 
     def _before_send(self) -> None:

@@ -1,5 +1,7 @@
 """Checkpoints: whole or not at all, and a damaged one is never used."""
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -52,11 +54,13 @@ def test_one_that_was_not_finished_is_not_seen(tmp_path: Path) -> None:
     assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1}
 
 
-@pytest.mark.parametrize("name", ["tensors.safetensors", "state.json"])
+@pytest.mark.parametrize("name", ["tensors.safetensors", "state.json", "SHA256SUMS"])
 @pytest.mark.parametrize("damage", ["flip", "cut", "remove"])
-def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, damage: str) -> None:
-    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
-    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
+def test_of_a_damaged_one_the_one_before_is_used_and_that_is_said(
+    tmp_path: Path, name: str, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    checkpoint.save(tmp_path, 1, TENSORS, {"updates": 1}, kind="k")
+    path, _ = checkpoint.save(tmp_path, 2, TENSORS, {"updates": 2}, kind="k")
     file = path / name
     data = bytearray(file.read_bytes())
     if damage == "remove":
@@ -64,10 +68,41 @@ def test_a_damaged_one_is_fatal_and_says_what_to_do(tmp_path: Path, name: str, d
     else:
         data[len(data) // 2] ^= 0xFF
         file.write_bytes(data if damage == "flip" else data[: len(data) // 2])
-    with pytest.raises(
-        RunDirectoryError, match=r"00000002.*delete .* to go on from the one before"
-    ):
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 1}
+    assert "00000002: " in caplog.text
+    assert "; going on from the one before" in caplog.text
+    shutil.rmtree(tmp_path / "00000001")
+    with pytest.raises(RunDirectoryError, match="each of 1 checkpoints is damaged; restore one"):
         checkpoint.load(tmp_path, kind="k")
+
+
+def test_no_flipped_byte_is_used(tmp_path: Path) -> None:
+    """Of the state and the checksums; those of the tensors are as many as there are numbers."""
+    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
+    for name in ("state.json", "SHA256SUMS"):
+        whole = (path / name).read_bytes()
+        for at in range(len(whole)):
+            for bit in (0x01, 0x20):
+                (path / name).write_bytes(whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1 :])
+                with pytest.raises(RunDirectoryError, match="each of 1 checkpoints is damaged"):
+                    checkpoint.load(tmp_path)
+        (path / name).write_bytes(whole)
+    assert checkpoint.load(tmp_path)[1] == STATE
+
+
+def test_what_a_kill_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / ".00000001.partial").mkdir()
+    checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
+    assert [each.name for each in tmp_path.iterdir()] == ["00000002"]
+
+
+def test_the_checksums_are_those_of_sha256sum(tmp_path: Path) -> None:
+    path, _ = checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
+    checked = subprocess.run(
+        ["sha256sum", "--check", "--strict", "SHA256SUMS"],
+        cwd=path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert checked.stdout == "tensors.safetensors: OK\nstate.json: OK\n"
 
 
 def test_resuming_without_one_says_so(tmp_path: Path) -> None:
@@ -81,5 +116,6 @@ def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
     path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
     text = (path / "state.json").read_text()
     (path / "state.json").write_text(text.replace('"format": 5', '"format": 4'))
+    (path / "SHA256SUMS").unlink()  # there was none
     with pytest.raises(RunDirectoryError, match="found format 4, expected 5; another version"):
         checkpoint.load(tmp_path, kind="k")
