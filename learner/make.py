@@ -10,7 +10,7 @@ from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
-from a2s.learner.ingest.journal import Journal, Record
+from a2s.learner.ingest.journal import Journal, Record, has
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
@@ -116,7 +116,7 @@ def _journal(
     if saved is None:
         return journal, None
     place = saver.place(saved[1])
-    if not journal.has(place):
+    if not has(journal.folder, place):
         logger.warning(
             "%s: is not there any more; what was learned since the checkpoint is lost, though its "
             "steps count",

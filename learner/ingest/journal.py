@@ -7,7 +7,6 @@ which on they are not learned from yet; see docs/run-directory.md.
 import os
 import struct
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -72,7 +71,7 @@ class Journal:
         self.folder = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._open(max(self._numbers(), default=0))
+            self._open(max(_numbers(folder), default=0))
         except OSError as error:
             raise self._failure(error) from None
         self.place = Place(self._number, self._size, accepted_steps)
@@ -101,43 +100,23 @@ class Journal:
         try:
             self._open(self._number + 1)
             os.close(full)
-            for number in self._numbers()[:-_MAX_KEPT]:
-                self._path(number).unlink()
+            for number in _numbers(self.folder)[:-_MAX_KEPT]:
+                _path(self.folder, number).unlink()
         except OSError as error:
             raise self._failure(error) from None
 
-    def has(self, place: Place) -> bool:
-        """Whether the records from a place on are there."""
-        path = self._path(place.file)
-        return path.exists() and path.stat().st_size >= place.end
-
-    def read(self, place: Place) -> Iterator[Record]:
-        """Yield the records after a place; one torn by a kill, at the very end, is cut.
+    def read(self, place: Place) -> list[Record]:
+        """Read the records after a place; one torn by a kill, at the very end, is cut.
 
         Raises:
             RunDirectoryError: A record is damaged.
         """
-        for number in [each for each in self._numbers() if each >= place.file]:
-            begin = place.end if number == place.file else 0
-            data = self._path(number).read_bytes()
-            while begin < len(data):
-                end, record = _record(data, begin, number)
-                if record is None:
-                    if end < len(data) or number < self._number:
-                        raise RunDirectoryError(
-                            f"{self._path(number)}: the checksum of the record at byte {begin} "
-                            f"does not match; {self.advice}"
-                        )
-                    os.ftruncate(self._file, begin)
-                    self._size = begin
-                    break
-                yield record
-                begin = end
-
-    @property
-    def advice(self) -> str:
-        """How to go on without it."""
-        return f"delete {self.folder} to go on from the checkpoint, without the steps since then"
+        records, self._size = read(self.folder, place)
+        try:
+            os.ftruncate(self._file, self._size)
+        except OSError as error:
+            raise self._failure(error) from None
+        return records
 
     def close(self) -> None:
         """Close the file."""
@@ -154,17 +133,50 @@ class Journal:
         self._size += done
 
     def _open(self, number: int) -> None:
-        self._file = os.open(self._path(number), os.O_WRONLY | os.O_CREAT, 0o644)
+        self._file = os.open(_path(self.folder, number), os.O_WRONLY | os.O_CREAT, 0o644)
         self._number, self._size = number, os.fstat(self._file).st_size
-
-    def _path(self, number: int) -> Path:
-        return self.folder / f"{number:08d}"
-
-    def _numbers(self) -> list[int]:
-        return sorted(int(path.name) for path in self.folder.glob("[0-9]*"))
 
     def _failure(self, error: OSError) -> RunDirectoryError:
         return RunDirectoryError(f"{self.folder}: {error.strerror}; mend that and resume")
+
+
+def has(folder: Path, place: Place) -> bool:
+    """Whether the records from a place on are there."""
+    path = _path(folder, place.file)
+    return path.exists() and path.stat().st_size >= place.end
+
+
+def read(folder: Path, place: Place) -> tuple[list[Record], int]:
+    """Read the records after a place, and to which byte the newest file is whole.
+
+    Raises:
+        RunDirectoryError: A record is damaged, or cannot be read.
+    """
+    records: list[Record] = []
+    begin, numbers = place.end, [n for n in _numbers(folder) if n >= place.file]
+    for number in numbers:
+        begin = place.end if number == place.file else 0
+        try:
+            data = _path(folder, number).read_bytes()
+        except OSError as error:
+            raise RunDirectoryError(f"{_path(folder, number)}: {error.strerror}") from None
+        while begin < len(data):
+            end, record = _record(data, begin, number)
+            if record is None:
+                if end == len(data) and number == numbers[-1]:
+                    break  # torn by a kill
+                raise RunDirectoryError(
+                    f"{_path(folder, number)}: the checksum of the record at byte {begin} does not "
+                    f"match; {advice(folder)}"
+                )
+            records.append(record)
+            begin = end
+    return records, begin
+
+
+def advice(folder: Path) -> str:
+    """How to go on without a journal."""
+    return f"delete {folder} to go on from the checkpoint, without the steps since then"
 
 
 def _record(data: bytes, begin: int, number: int) -> tuple[int, Record | None]:
@@ -186,3 +198,11 @@ def _record(data: bytes, begin: int, number: int) -> tuple[int, Record | None]:
         return end, Taken(Place(number, end, *_OF_BATCH.unpack(body)))
     except (struct.error, MalformedMessageError):
         return end, None
+
+
+def _path(folder: Path, number: int) -> Path:
+    return folder / f"{number:08d}"
+
+
+def _numbers(folder: Path) -> list[int]:
+    return sorted(int(path.name) for path in folder.glob("[0-9]*"))

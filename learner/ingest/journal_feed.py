@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from a2s.learner.feed import Arrival, Feed
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken
+from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, advice
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Store
@@ -19,7 +19,7 @@ def read_again(journal: Journal, place: Place, ledger: Ledger) -> list[Record]:
     Raises:
         RunDirectoryError: The journal is damaged, or the ledger knows more than it.
     """
-    records = list(journal.read(place))
+    records = journal.read(place)
     stored = [record for record in records if isinstance(record, Stored)]
     unknown = [s for _, s in stored if not ledger.knows(s.actor, s.seq)]
     for segment in unknown:
@@ -28,7 +28,7 @@ def read_again(journal: Journal, place: Place, ledger: Ledger) -> list[Record]:
     if ledger.accepted_steps > expected:
         lost = ledger.accepted_steps - expected
         raise RunDirectoryError(
-            f"{journal.folder}: {lost} steps fewer than in segments.log; {journal.advice}"
+            f"{journal.folder}: {lost} steps fewer than in segments.log; {advice(journal.folder)}"
         )
     if ledger.accepted_steps < expected:
         lost = expected - ledger.accepted_steps

@@ -19,6 +19,8 @@ from torch import Tensor
 
 from a2s.protocol.errors import RunDirectoryError
 
+State = dict[str, Any]
+
 logger = logging.getLogger(__name__)
 
 _MAX_KEPT = 3
@@ -58,12 +60,12 @@ def save(
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         raise RunDirectoryError(f"checkpoint {path}: {error.strerror}") from error
-    for old in _all(folder)[:-_MAX_KEPT]:
+    for old in all_of(folder)[:-_MAX_KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return path, sum(len(data) for data in files.values())
 
 
-def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], State]:
     """Read the newest whole checkpoint of a run of this kind, or of any; say which are damaged.
 
     Returns:
@@ -73,7 +75,7 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], d
         RunDirectoryError: The folder has no whole checkpoint, or the newest is of another kind or
             version.
     """
-    found = _all(folder)
+    found = all_of(folder)
     if not found:
         raise RunDirectoryError(
             f"{folder}: found no checkpoint to go on from; name another --run-dir, or delete "
@@ -81,24 +83,30 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], d
         )
     for path in reversed(found):
         try:
-            return _read(path, kind)
-        except _DamagedError as error:
+            return read(path, kind)
+        except DamagedError as error:
             logger.warning("checkpoint %s: %s; going on from the one before", path, error)
     raise RunDirectoryError(
         f"{folder}: each of {len(found)} checkpoints is damaged; restore one, or begin another run"
     )
 
 
-class _DamagedError(Exception):
+class DamagedError(Exception):
     """A checkpoint is not as it was written."""
 
 
-def _read(path: Path, kind: str | None) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read(path: Path, kind: str | None = None) -> tuple[dict[str, Tensor], State]:
+    """Read one checkpoint.
+
+    Raises:
+        DamagedError: It is not as it was written.
+        RunDirectoryError: It is of another kind or version.
+    """
     try:
         files = {name: (path / name).read_bytes() for name in (_TENSORS, _STATE)}
         _require_format(path, files[_STATE])
         if (path / _SUMS).read_bytes() != _sums(files):
-            raise _DamagedError("the checksums do not match")
+            raise DamagedError("the checksums do not match")
         whole = json.loads(files[_STATE])
         if kind not in (None, whole["kind"]):
             raise RunDirectoryError(
@@ -107,7 +115,7 @@ def _read(path: Path, kind: str | None) -> tuple[dict[str, Tensor], dict[str, An
             )
         return safetensors.torch.load(files[_TENSORS]), whole["state"]
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-        raise _DamagedError(str(error)) from None
+        raise DamagedError(str(error)) from None
 
 
 def _require_format(path: Path, state: bytes) -> None:
@@ -128,14 +136,15 @@ def _sums(files: Mapping[str, bytes]) -> bytes:
 
 def _free(folder: Path, name: str) -> Path:
     """Find a name that sorts last; existing files are never replaced, so a kill cannot lose any."""
-    same = [path for path in _all(folder) if path.name.startswith(name)]
+    same = [path for path in all_of(folder) if path.name.startswith(name)]
     if not same:
         return folder / name
     count = int(same[-1].name.partition("-")[2] or 0) + 1
     return folder / f"{name}-{count:04d}"
 
 
-def _all(folder: Path) -> list[Path]:
+def all_of(folder: Path) -> list[Path]:
+    """Find the checkpoints in a folder, the newest last."""
     return sorted(folder.glob("[0-9]*")) if folder.exists() else []
 
 

@@ -136,6 +136,10 @@ def dashboard(
 
 @app.command()
 def doctor(
+    run_dir: Annotated[
+        Path | None,
+        typer.Argument(help="A run directory to examine, instead of this machine."),
+    ] = None,
     connect: Annotated[
         str | None,
         options.option(None, "--connect", metavar="ENDPOINT", help="A learner that must answer."),
@@ -143,11 +147,16 @@ def doctor(
     run: options.Run = None,
     json_: options.Json = False,
 ) -> None:
-    """Check this machine and the way to the learner; say how to mend what is wrong."""
+    """Check this machine and the way to the learner, or a run; say how to mend what is wrong."""
     from a2s.commands.doctor import examine, line
 
+    looks = examine(connect, run or "default")
+    if run_dir is not None:
+        from a2s.commands.doctor_run import examine_run
+
+        looks = examine_run(run_dir)
     findings = []
-    for finding in examine(connect, run or "default"):
+    for finding in looks:
         findings.append(finding)
         if not json_:
             typer.echo(line(finding))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from segments import segment
 
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken
+from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, has
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
@@ -111,7 +111,7 @@ def test_a_segment_comes_back_as_it_was(tmp_path: Path) -> None:
     start = journal.place
     journal.segment(3, made)
     journal.begin(_begun(9, epoch=2))
-    (stored, begun) = journal.read(start)
+    stored, begun = journal.read(start)
     assert isinstance(stored, Stored)
     assert (stored.slot, begun) == (3, _begun(9, epoch=2))
     for name in ("obs", "suggestion", "log_prob", "reward", "final_obs"):
@@ -120,7 +120,7 @@ def test_a_segment_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 def _records(folder: Path, place: Place) -> list[Record]:
-    return list(Journal(folder).read(place))
+    return Journal(folder).read(place)
 
 
 def test_of_a_torn_end_nothing_was_answered(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_of_a_torn_end_nothing_was_answered(tmp_path: Path) -> None:
     for end in range(len(whole), len(longer)):
         (tmp_path / "journal" / "00000000").write_bytes(longer[:end])
         again = Journal(tmp_path / "journal")
-        assert len(list(again.read(Place()))) == 1
+        assert len(again.read(Place())) == 1
         again.begin(_begun(1))
         assert [type(each) for each in again.read(Place())] == [Stored, Begun]
 
@@ -189,11 +189,11 @@ def test_files_go_with_the_checkpoints_that_need_them(tmp_path: Path) -> None:
         places.append(journal.place)
         journal.roll()
     for place in places[-3:]:
-        assert journal.has(place)
+        assert has(journal.folder, place)
         waits = next(iter(_records(tmp_path / "journal", place)))
         assert isinstance(waits, Stored)
         assert waits.segment.seq == 100 + place.accepted_steps // 4 - 1
-    assert not journal.has(places[0])
+    assert not has(journal.folder, places[0])
     assert len(list((tmp_path / "journal").iterdir())) == 4
     (end,) = (r for r in _records(tmp_path / "journal", places[-2]) if isinstance(r, Taken))
     assert end.end == places[-1]

@@ -1,0 +1,82 @@
+"""a2s doctor RUN: every file that --resume reads is verified, and named if it is damaged."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scripted_actors import Script
+from typer.testing import CliRunner
+
+from a2s.cli import app
+from a2s.learner.run.directory import claimed
+
+SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,), "q_steps": 1}
+
+
+@pytest.fixture(scope="module")
+def make_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Make the directory of a run with checkpoints after 5 and 10 updates."""
+
+    def make(variant: str) -> Path:
+        path = tmp_path_factory.mktemp(variant) / "run"
+        options = {"variant": variant, "total_steps": 400, "checkpoint_every_updates": 5}
+        settings = {**SMALL, "batch_steps": 32, "first_batch_steps": 32, "window_steps": 64}
+        if variant == "off-policy":
+            settings = {"warm_up_steps": 400, "batch_rows": 8, "replay_rows": 1000}
+        Script(path, options, settings).run()
+        (path / "config.toml").touch()
+        return path
+
+    return make
+
+
+def _examine(path: Path) -> tuple[int, dict[str, tuple[str, str]]]:
+    result = CliRunner().invoke(app, ["doctor", str(path), "--json"])
+    found = {each["name"]: (each["state"], each["found"]) for each in json.loads(result.stdout)}
+    return result.exit_code, found
+
+
+def test_of_a_whole_run_all_is_ok(make_run: Callable[[str], Path]) -> None:
+    for variant in ("on-policy", "off-policy"):
+        code, found = _examine(make_run(variant))
+        assert code == 0
+        assert {state for state, _ in found.values()} == {"ok"}
+        assert {"ledger", "journal"} < set(found)
+        assert ("replay" in found) == (variant == "off-policy")
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "state"),
+    [
+        ("checkpoints/*/state.json", "checkpoint", "note"),
+        ("segments.log", "ledger", "fail"),
+        ("journal/*", "journal", "fail"),
+        ("replay/obs-1.f32", "replay", "fail"),
+    ],
+)
+def test_what_is_damaged_is_named(
+    make_run: Callable[[str], Path], place: str, name: str, state: str
+) -> None:
+    """In the middle of its newest file; a damaged checkpoint has others before it."""
+    path = make_run("off-policy" if name == "replay" else "on-policy")
+    file = [each for each in sorted(path.glob(place)) if each.stat().st_size][-1]
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2 if name != "replay" else 0] ^= 0xFF
+    file.write_bytes(data)
+    code, found = _examine(path)
+    bad = {each: told for each, told in found.items() if told[0] != "ok"}
+    assert [each.split()[0] for each in bad] == [name]
+    assert next(iter(bad.values()))[0] == state
+    assert code == (state == "fail")
+
+
+def test_a_run_that_is_not_one_or_is_at_work_is_refused(
+    make_run: Callable[[str], Path], tmp_path: Path
+) -> None:
+    result = CliRunner().invoke(app, ["doctor", str(tmp_path)])
+    assert "holds no config.toml" in str(result.exception)
+    path = make_run("on-policy")
+    with claimed(path):
+        result = CliRunner().invoke(app, ["doctor", str(path)])
+    assert "another learner is at work there" in str(result.exception)
