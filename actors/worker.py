@@ -16,7 +16,8 @@ from a2s.protocol.zenoh_bus import ZenohBus
 
 def main() -> None:
     """Run one actor until the supervisor lets it stop; then end this process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the supervisor hears Ctrl-C and stops us
+    for number in (signal.SIGINT, signal.SIGHUP):  # the supervisor hears them, and stops us
+        signal.signal(number, signal.SIG_IGN)
     parent = Parent(sys.argv[1:])
     task, metrics = Task(**parent.task), ActorMetrics()
     actor: Actor | Evaluator | None = None

@@ -17,8 +17,8 @@ Made from the code by `make docs`; do not edit. `a2s COMMAND --help` says the sa
   first, then the variable, then `--config`, then the default ([configuration](configuration.md)).
 - A number of steps may be written as `1e6`.
 - `--json` prints one JSON object as the last line of standard output, and all else elsewhere.
-- Exit codes: 0 done, 1 failed, 2 a mistake in the command, 130 stopped by Ctrl-C or a signal. An
-  error is one line on standard error.
+- Exit codes: 0 done, 1 failed, 2 a mistake in the command, 128 and its number after a signal
+  (130: Ctrl-C). An error is one line on standard error.
 
 ## Completion in the shell
 

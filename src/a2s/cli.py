@@ -10,11 +10,10 @@ import typer
 
 from a2s import __version__
 from a2s.commands import groups, options, replay_cli, run_cli
-from a2s.commands.process import EXIT_INTERRUPTED, end_on_signals, open_standard_streams
+from a2s.commands.process import EXIT_FAILED, end_on_signals, open_standard_streams
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
-EXIT_FAILED = 1
 EXIT_USAGE = 2
 
 app = typer.Typer(
@@ -131,7 +130,7 @@ def dashboard(
 
     with stop_on_signals() as stop:
         show(targets or [], host, port, stop)
-    raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
+    raise typer.Exit(stop.exit_code)
 
 
 @app.command()
@@ -217,7 +216,7 @@ def record(
         )  # fmt: skip
     if not found:
         typer.echo("stopped: no video was written", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED)
+        raise typer.Exit(stop.exit_code)
     typer.echo(json.dumps(found) if json_ else line(found))
 
 
@@ -335,7 +334,7 @@ def tune(
         )
     if found:
         typer.echo(json.dumps(found) if json_ else line(found))
-    raise typer.Exit(EXIT_INTERRUPTED if stop.interrupted else 0)
+    raise typer.Exit(stop.exit_code)
 
 
 @app.command()

@@ -64,7 +64,7 @@ def test_an_evaluator_joins_late_and_is_replaced_when_it_dies(
     )
     for command in (actors, evaluator):
         wait_for(lambda c=command: said in c.text(), "word of the end")
-        assert command.end() == 130, command.text()
+        assert command.end() == 143, command.text()
 
 
 def _updates(run: Path) -> list[str]:

@@ -99,7 +99,7 @@ def test_a_run_is_seen_as_it_is(
         assert _violations(browser) == []
         width = browser.execute_script("return document.documentElement.scrollWidth")
         assert width <= size[0]
-    assert learner.end() == 130
+    assert learner.end() == 143
     wait_for(lambda: _texts(browser, "#state") == ["no learner answers"], "that it has gone")
     said: list[dict[str, Any]] = browser.get_log("browser")  # type: ignore[no-untyped-call]
     assert [x for x in said if "ERR_CONNECTION_REFUSED" not in x["message"]] == []

@@ -1,7 +1,10 @@
-"""One signal ends a command with 130, wherever it meets it."""
+"""One signal ends a command with 128 and its number, wherever it meets it."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -46,7 +49,7 @@ def test_a_training_whose_learner_is_done_ends(
 ) -> None:
     train = _train(start, "--total-steps", "512", *LONG)
     wait_for(lambda: moment(train), "the moment", timeout_s=PATIENCE_S)
-    assert train.end(number) == 130, train.text()
+    assert train.end(number) == 128 + number, train.text()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
     _assert_quiet(train)
 
@@ -82,21 +85,40 @@ def test_a_training_whose_learner_starts_ends_and_leaves_no_trace_of_a_run_not_b
     train = _train(start, "--total-steps", "512")
     wait_for(lambda: any(module in path for path in _learner(train)), "a learner that starts")
     assert not any(each.is_dir() for each in (tmp_path / "temporary").iterdir())
-    assert train.end(number) == 130, train.text()
+    assert train.end(number) == 128 + number, train.text()
     _assert_quiet(train)
     run = tmp_path / "run"
     assert run.exists() is (run / "config.toml").exists()
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+    "number", [signal.SIGHUP, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
 )
 def test_a_learner_that_starts_ends(start: Start, wait_for: WaitFor, number: int) -> None:
     learner = start("learner", *REACH, "--run-dir", "run", "--metrics-port", "-1")
     maps = psutil.Process(learner.process.pid).memory_maps
     wait_for(lambda: any("libtorch" in m.path for m in maps()), "torch to be loaded")
-    assert learner.end(number) == 130, learner.text()
+    assert learner.end(number) == 128 + number, learner.text()
     _assert_quiet(learner)
+
+
+@pytest.mark.parametrize("is_full", [True, False])
+def test_a_run_outlasts_its_standard_output(tmp_path: Path, *, is_full: bool) -> None:
+    """On a full disk, or when whoever read it is gone."""
+    command = [
+        sys.executable, "-P", "-m", "a2s.cli", "train", *REACH, *FAST, "--run-dir", "run",
+        "--total-steps", "512", "--episodes", "1", "--metrics-port", "-1",
+    ]  # fmt: skip
+    reader, writer = os.pipe()
+    os.close(reader)
+    out = os.open("/dev/full", os.O_WRONLY) if is_full else writer
+    done = subprocess.run(
+        command, cwd=tmp_path, stdout=out, stderr=subprocess.PIPE, text=True, check=False,
+        timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
 
 
 def _assert_quiet(command: Command) -> None:

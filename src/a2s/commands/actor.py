@@ -9,8 +9,8 @@ from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
 from a2s.commands.process import (
     ACTOR_METRICS_PORT,
-    EXIT_INTERRUPTED,
     log_warnings,
+    outlast_streams,
     serve_on,
     stop_on_signals,
 )
@@ -37,6 +37,7 @@ def act(
     Raises:
         A2SError: The user asked for something impossible, or the actors cannot work.
     """
+    outlast_streams()
     log_warnings()
     Keys(run)
     check_endpoint(connect)
@@ -64,4 +65,4 @@ def act(
     typer.echo(f"  connect     {connect}\n  metrics     {url}")
     with stop_on_signals() as stop:
         Supervisor(tasks, fleet).run(stop)
-    return EXIT_INTERRUPTED if stop.interrupted else 0
+    return stop.exit_code

@@ -14,10 +14,10 @@ import typer
 
 from a2s.actors.description import describe
 from a2s.commands.process import (
-    EXIT_INTERRUPTED,
     LEARNER_METRICS_PORT,
     Stop,
     log_warnings,
+    outlast_streams,
     pass_on,
     serve_on,
     stop_on_signals,
@@ -112,7 +112,7 @@ class Place:
             typer.echo(f"stopped     go on with: {self.again}", self.out)
         if self.as_json:
             typer.echo(json.dumps(summary))
-        return EXIT_INTERRUPTED if stop.interrupted else 0
+        return stop.exit_code
 
 
 def learn(configuration: Configuration, place: Place, listen: str | None) -> int:
@@ -131,7 +131,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         if described is not None:
             _compile(configuration, place.out)
     if described is None or stop.interrupted:
-        return EXIT_INTERRUPTED
+        return stop.exit_code
     with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
         typer.echo(_banner(run, place.path, endpoint, url), place.out)
         title = f"{run.run}: {run.algo} on {run.env}"
@@ -278,6 +278,7 @@ def source_of(
 
 def _prepare_process(run: RunConfig) -> None:
     """Configure the whole process: its log, and how torch uses cores and memory."""
+    outlast_streams()
     log_warnings()
     if run.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")

@@ -10,37 +10,47 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import TypeVar
+from typing import Any, TextIO, TypeVar, cast
 
 from a2s.protocol.errors import UsageError
 
-EXIT_INTERRUPTED = 130
+EXIT_FAILED = 1
 LEARNER_METRICS_PORT, ACTOR_METRICS_PORT = 9464, 9465
 
 Served = TypeVar("Served")
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _STANDARD_ERROR = 2
 _CHILD_S = 120.0
 
 
 class Stop(threading.Event):
-    """Set by the first signal; ``interrupted`` says whether it was set by a signal."""
+    """Set by the first signal; ``number`` is that of the signal, 0 without one."""
 
-    interrupted = False
+    number = 0
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was set by a signal."""
+        return self.number != 0
+
+    @property
+    def exit_code(self) -> int:
+        """As shells have it: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP; 0 without one."""
+        return 128 + self.number if self.number else 0
 
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Give the event that SIGINT and SIGTERM set; a second signal ends the process at once."""
+    """Give the event that signals set; a second signal ends the process at once."""
     stop = Stop()
 
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
+    def on_signal(number: int, _frame: FrameType | None) -> None:
         if stop.interrupted:
-            os._exit(EXIT_INTERRUPTED)
-        stop.interrupted = True
+            os._exit(stop.exit_code)
+        stop.number = number
         stop.set()
 
-    before = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    before = {number: signal.signal(number, on_signal) for number in _signals()}
     try:
         yield stop
     finally:
@@ -49,9 +59,57 @@ def stop_on_signals() -> Iterator[Stop]:
 
 
 def end_on_signals() -> None:
-    """Have SIGINT and SIGTERM end this process with 130, also where a shell had one ignored."""
-    for number in _SIGNALS:
-        signal.signal(number, signal.default_int_handler)
+    """Have signals end this process with the exit code of a `Stop`, without a word."""
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    for number in _signals():
+        signal.signal(number, on_signal)
+
+
+def _signals() -> list[signal.Signals]:
+    """Those to stop on: not SIGHUP if `nohup` has it ignored, as shells have SIGINT behind them."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [each for each in SIGNALS if not (ignored and each == signal.SIGHUP)]
+
+
+class _Lasting:
+    """A standard stream that may break: then its words are lost, and nothing else happens."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        """Whatever else a stream has."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write, and flush at the end of a line, so that a defect shows here."""
+        try:
+            self._stream.write(text)
+            if "\n" in text:
+                self._stream.flush()
+        except (OSError, ValueError):
+            self._lose()
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush if that is possible."""
+        try:
+            self._stream.flush()
+        except (OSError, ValueError):
+            self._lose()
+
+    def _lose(self) -> None:
+        """Have the rest go nowhere, so that what is buffered does not fail again at the end."""
+        with contextlib.suppress(OSError, ValueError), open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), self._stream.fileno())
+
+
+def outlast_streams() -> None:
+    """Go on when standard output or error is closed or full: a run is worth more than its words."""
+    sys.stdout, sys.stderr = (cast(TextIO, _Lasting(each)) for each in (sys.stdout, sys.stderr))
 
 
 def open_standard_streams() -> None:

@@ -20,7 +20,14 @@ import typer
 
 from a2s.commands.evaluate import evaluate_run
 from a2s.commands.plot import plot
-from a2s.commands.process import EXIT_INTERRUPTED, Stop, free_endpoint, stop_on_signals
+from a2s.commands.process import (
+    EXIT_FAILED,
+    SIGNALS,
+    Stop,
+    free_endpoint,
+    outlast_streams,
+    stop_on_signals,
+)
 from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
@@ -61,6 +68,7 @@ def train(
         A2SError: The user asked for something impossible, or learner or actors failed.
     """
     run = configuration.run
+    outlast_streams()
     out = sys.stderr if as_json else sys.stdout
     endpoint = listen or free_endpoint()
     # Without a name: nothing is left of it, however this process ends.
@@ -76,7 +84,7 @@ def train(
         starting = started(learner, out, files=(config.fileno(),))
         code = _run(starting, actor, evaluator, path, again, stop)
     if code or not (path / "summary.json").exists():
-        return code or EXIT_INTERRUPTED
+        return code or stop.exit_code or EXIT_FAILED
     summary = json.loads((path / "summary.json").read_text())
     failure: A2SError | None = None
     if summary["finished"] and not stop.interrupted:
@@ -91,7 +99,7 @@ def train(
         typer.echo(json.dumps(summary))
     if failure is not None:
         raise A2SError(f"the policy was not evaluated: {failure}")
-    return EXIT_INTERRUPTED if stop.interrupted else 0
+    return stop.exit_code
 
 
 def _run(
@@ -127,7 +135,8 @@ def _run(
         _remove_traces(path)
     # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
-    if learner.returncode in (0, EXIT_INTERRUPTED) or is_ended_by_us:
+    is_stopped = learner.returncode in {128 + number for number in SIGNALS}
+    if learner.returncode == 0 or is_stopped or is_ended_by_us:
         return 0
     if _starts(path) == before and learner.returncode > 0:
         return learner.returncode
