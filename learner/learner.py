@@ -1,6 +1,5 @@
 """The learner's loop: wait for a batch, learn, recover, publish, record, checkpoint."""
 
-import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -28,8 +27,6 @@ from a2s.learner.trainer import Outcome, Saved, Trainer
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import RecoveryEvent
-
-logger = logging.getLogger(__name__)
 
 _EVALUATION_WAIT_S = 1.0
 _EVALUATIONS = "evaluations by `a2s actor --evaluate`"
@@ -134,7 +131,6 @@ class Learner:
         made, steps = self._trainer.updates - updates, status.env_steps - status.steps_at_start
         if made:
             self._directory.event("again", updates=made, env_steps=steps)
-            logger.warning("learned again what came after the checkpoint: %d updates", made)
         self._feed, status.steps_at_start = feed, status.env_steps
 
     def _step(self, proceed: Callable[[str], bool]) -> bool:

@@ -10,7 +10,7 @@ from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
-from a2s.learner.ingest.journal import Journal, Record, has
+from a2s.learner.ingest.journal import Journal, Record, Taken, has
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
@@ -124,7 +124,10 @@ def _journal(
         )
         return journal, None
     journal.place = place
-    return journal, read_again(journal, place, ledger)
+    records = read_again(journal, place, ledger)
+    if batches := sum(isinstance(record, Taken) for record in records):
+        logger.warning("learning again from %d batches that came after the checkpoint", batches)
+    return journal, records
 
 
 def make_replay_learner(

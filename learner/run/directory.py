@@ -5,6 +5,7 @@ import csv
 import fcntl
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -81,6 +82,20 @@ def claimed(path: Path) -> Iterator[None]:
         except BlockingIOError:
             raise RunDirectoryError(f"{path}: another learner is at work there; stop it") from None
         yield
+
+
+def remove_traces(path: Path, *logs: str) -> None:
+    """Remove a directory without a configuration, which would be mistaken for a run.
+
+    If it has other files than a refused learner leaves, and ``logs``, it stays.
+    """
+    if (path / CONFIG).exists() or not path.exists():
+        return
+    for name in (*logs, LOCK, "segments.log"):
+        (path / name).unlink(missing_ok=True)
+    shutil.rmtree(path / "journal", ignore_errors=True)
+    if not any(path.iterdir()):
+        path.rmdir()
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:

@@ -75,7 +75,8 @@ def _compare(first: _Look, last: _Look) -> Shares | None:
         sum(last.actors[name][part] - first.actors[name][part] for name in both) / len(both)
         for part in (0, 1)
     ]
-    learner = (last.learning_s - first.learning_s) / seconds
+    # What is learned is counted when it is done, and may have begun before the first look.
+    learner = min(1.0, (last.learning_s - first.learning_s) / seconds)
     environment, selection = (mean / seconds for mean in means)
     network = max(0.0, 1.0 - learner - environment - selection)
     return Shares(learner, environment, selection, network)

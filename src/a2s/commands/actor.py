@@ -60,7 +60,8 @@ def act(
             metrics_port, ACTOR_METRICS_PORT, lambda port: serve(fleet, metrics_host, port)
         )
         url = f"http://{metrics_host}:{bound}/metrics"
-    role = "processes that evaluate run" if evaluates else "processes for run"
+    role = f"{'process' if n == 1 else 'processes'} "
+    role += f"that evaluate{'s' if n == 1 else ''} run" if evaluates else "for run"
     typer.echo(f"a2s actor: {n} {role} {run}")
     typer.echo(f"  connect     {connect}\n  metrics     {url}")
     with stop_on_signals() as stop:

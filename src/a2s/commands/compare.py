@@ -1,7 +1,7 @@
 """``a2s compare``: what runs are worth beside each other, with intervals over their seeds."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,12 +10,14 @@ import numpy as np
 from a2s.commands.plot import Curve, identity, read_curve
 from a2s.commands.statistics import area, compare, interval
 from a2s.learner.numerals import written
-from a2s.learner.run.directory import evaluations
+from a2s.learner.run import config as configuration
+from a2s.learner.run.directory import CONFIG, evaluations
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 _LAST = 5  # evaluations
 _LAST_SHARE = 0.1  # of the steps, where there are no evaluations
 _FEW = 3
+_ALIKE = 0.9  # of the longest run
 
 
 class Worth(NamedTuple):
@@ -33,9 +35,9 @@ def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
 
     Returns:
         The JSON object of ``a2s compare --json``: for each group ``env``, ``label``, ``of``
-        (``evaluations`` or ``training``), ``seeds``, ``env_steps`` of each, and under ``area`` and
-        ``final`` the interquartile mean and its 95 % interval; and of what differs from the first
-        group. What is not finite is ``None``.
+        (``evaluations`` or ``training``), ``seeds``, ``env_steps`` and ``seed`` of each, and under
+        ``area`` and ``final`` the interquartile mean and its 95 % interval; and of what differs
+        from the first group. What is not finite is ``None``.
 
     Raises:
         UsageError: One is not a run directory, or has no return yet.
@@ -57,6 +59,7 @@ def compare_runs(runs: Sequence[Path]) -> list[dict[str, Any]]:
             of = "evaluations" if is_evaluated else "training"
             row: dict[str, Any] = {"env": env, "label": label, "of": of, "seeds": len(members)}
             row["env_steps"] = [_steps(run) for run in members]
+            row["seed"] = [_seed(run) for run in members]
             for name in Worth._fields:
                 row[name] = _measure(name, worth, first)
             found.append(row)
@@ -82,6 +85,11 @@ def worth_of(run: Path, *, evaluated: bool) -> Worth:
 
 def _steps(run: Path) -> int:
     return int(read_curve(run / "episodes.csv")[0][-1])
+
+
+def _seed(run: Path) -> object:
+    options, _ = configuration.read(run / CONFIG)
+    return options.get("seed", 0)
 
 
 def _evaluations(run: Path) -> tuple[Curve, Curve] | None:
@@ -110,7 +118,7 @@ _OF_DIFFERENCE = (
 )  # fmt: skip
 
 
-def page(found: Iterable[dict[str, Any]]) -> str:
+def page(found: Sequence[dict[str, Any]]) -> str:
     """Write the result of `compare_runs` for a reader."""
     lines: list[str] = []
     env = ""
@@ -124,8 +132,12 @@ def page(found: Iterable[dict[str, Any]]) -> str:
         lines.append(f"  {row['label']} ({seeds}, {steps} steps)")
         for name, words in (("area", "mean over the run"), ("final", "at its end")):
             lines.append(f"    {words:<18} {_of(row[name])}")
+        if len(set(row["seed"])) < row["seeds"]:
+            lines.append("    some runs have the same seed, and are no sample of what seeds do")
         if row["seeds"] < _FEW:
             lines.append("    an interval of so few seeds says little")
+        if low < _ALIKE * max(max(each["env_steps"]) for each in found if each["env"] == env):
+            lines.append("    runs of other lengths are not alike: train all to the same steps")
     return "\n".join(lines)
 
 

@@ -183,6 +183,8 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
     """A model card as model hubs read it."""
     found = summary.get("evaluation") or {}
     found = found if found.keys() >= _OF_EVALUATION else {}
+    module, _, own = config.env_id.rpartition(":")
+    needs = "gymnasium" if own and module else "'gymnasium[mujoco]'"
     name = config.env_id.rpartition(":")[2]
     score = f"{found['mean']:.2f} +/- {found['std']:.2f}" if found else ""
     low, high = metadata["action_low"], metadata["action_high"]
@@ -227,10 +229,11 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
         "give the mean action.",
         "",
         "```",
-        "pip install 'gymnasium[mujoco]' onnxruntime && python rollout.py",
+        f"pip install {needs} onnxruntime && python rollout.py",
         "npm install onnxruntime-web && node act.mjs",
         "```",
         "",
+        *([f"`rollout.py` also needs what `{Path(module).name}` needs.", ""] if module else []),
         f"The environment as it was made: `{replace(config, env_id=name).to_json()}`",
         "",
     ]

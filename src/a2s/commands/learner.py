@@ -37,7 +37,7 @@ from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
-from a2s.protocol.errors import UsageError
+from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -136,16 +136,20 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         typer.echo(_banner(run, place.path, endpoint, url), place.out)
         title = f"{run.run}: {run.algo} on {run.env}"
         with closing(make_view(title, quiet=place.as_json)) as view:
-            learner = make_learner(
-                configuration=configuration,
-                spaces=described.spaces,
-                layout=described.layout,
-                bus=bus,
-                path=place.path,
-                metrics=metrics,
-                view=view,
-                resume=place.resume,
-            )
+            try:
+                learner = make_learner(
+                    configuration=configuration,
+                    spaces=described.spaces,
+                    layout=described.layout,
+                    bus=bus,
+                    path=place.path,
+                    metrics=metrics,
+                    view=view,
+                    resume=place.resume,
+                )
+            except A2SError:
+                run_directory.remove_traces(place.path)
+                raise
             place.write_config(configuration)
             place.write_endpoint(endpoint)
             summary = place.run(learner, stop)

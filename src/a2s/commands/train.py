@@ -132,7 +132,7 @@ def _run(
             )
         _wait(learner, actors, evaluator, path, stop)
     if not (path / run_directory.CONFIG).exists():
-        _remove_traces(path)
+        run_directory.remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
     # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
     is_stopped = learner.returncode in {128 + number for number in SIGNALS}
@@ -149,14 +149,6 @@ def _starts(path: Path) -> bytes:
     """Read the file that every start of a learner changes."""
     count = path / "generation"
     return count.read_bytes() if count.exists() else b""
-
-
-def _remove_traces(path: Path) -> None:
-    """Remove a directory that would be mistaken for a run."""
-    for name in (ACTORS_LOG, EVALUATOR_LOG, "lock", "segments.log"):
-        (path / name).unlink(missing_ok=True)
-    if not any(path.iterdir()):
-        path.rmdir()
 
 
 def _wait(
@@ -244,4 +236,5 @@ def _show(summary: dict[str, Any], path: Path, out: TextIO) -> None:
     except UsageError as error:
         lines.append(f"no curve: {error}")
     lines += [f"everything  {path}", f"again       a2s evaluate {path} --episodes 10"]
+    lines += [f"video       a2s record {path} -o video.mp4", f"share       a2s export {path}"]
     typer.echo("\n".join(lines), out)
