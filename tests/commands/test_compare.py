@@ -9,11 +9,17 @@ from a2s.protocol.errors import UsageError
 
 
 def _run(
-    path: Path, height: float, hyper: str = "", *, evaluated: bool = False, env: str = "Hopper-v5"
+    path: Path,
+    height: float,
+    hyper: str = "",
+    *,
+    evaluated: bool = False,
+    env: str = "Hopper-v5",
+    seed: int = 0,
 ) -> Path:
     """A run whose training returns rise to a height in 1,000 steps, evaluated at twice that."""
     path.mkdir()
-    (path / "config.toml").write_text(f'[run]\nenv = "{env}"\n[hyper]\n{hyper}\n')
+    (path / "config.toml").write_text(f'[run]\nenv = "{env}"\nseed = {seed}\n[hyper]\n{hyper}\n')
     lines = [f"0,{s},0,1,{height * s / 1000},5,1" for s in (100, 500, 950, 1000)]
     header = "wall_s,env_steps,actor,weights_version,return,length,terminated"
     (path / "episodes.csv").write_text("\n".join([header, *lines]) + "\n")
@@ -66,6 +72,21 @@ def test_where_one_was_not_evaluated_the_returns_of_training_count(tmp_path: Pat
     assert (first["of"], other["of"]) == ("training", "evaluations")
     assert second["final"]["ratio"] == 0.0
     assert compare_runs(runs[1::-1])[1]["final"]["ratio"] is None  # of nothing
+
+
+def test_runs_that_are_no_sample_are_named(tmp_path: Path) -> None:
+    """Of the same seed, or shorter than others."""
+    runs = [_run(tmp_path / f"a{seed}", 10.0, seed=seed) for seed in (1, 2)]
+    found = compare_runs(runs)
+    assert found[0]["seed"] == [1, 2]
+    assert "same seed" not in page(found)
+    assert "other lengths" not in page(found)
+    runs.append(_run(tmp_path / "again", 10.0, seed=2))
+    with (runs[0] / "episodes.csv").open("a") as file:
+        file.write("0,1200,0,1,10,5,1\n")
+    found = compare_runs(runs)
+    assert "some runs have the same seed" in page(found)
+    assert "runs of other lengths are not alike" in page(found)
 
 
 def test_a_run_counts_once(tmp_path: Path) -> None:

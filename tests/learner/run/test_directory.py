@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from a2s.learner.run.directory import RunDirectory, choose, claimed, write_atomically
+from a2s.learner.run.directory import RunDirectory, choose, claimed, remove_traces, write_atomically
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 NoRoom = Callable[[], AbstractContextManager[None]]
@@ -34,6 +34,21 @@ def test_a_named_directory_is_never_overwritten(tmp_path: Path) -> None:
     assert choose(tmp_path, "hop", path, resume=True) == path
     with pytest.raises(UsageError, match="holds a run; add --resume, or name another"):
         choose(tmp_path, "hop", path, resume=False)
+
+
+def test_of_a_refused_run_nothing_is_left_and_of_another_everything(tmp_path: Path) -> None:
+    """What is not ours stays, and so does its directory."""
+    for name in ("refused", "begun", "used"):
+        (tmp_path / name / "journal").mkdir(parents=True)
+        (tmp_path / name / "segments.log").touch()
+        (tmp_path / name / "actors.log").touch()
+    (tmp_path / "begun" / "config.toml").touch()
+    (tmp_path / "used" / "notes").touch()
+    for name in ("refused", "begun", "used", "never"):
+        remove_traces(tmp_path / name, "actors.log")
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["begun", "used"]
+    assert len(list((tmp_path / "begun").iterdir())) == 4
+    assert [each.name for each in (tmp_path / "used").iterdir()] == ["notes"]
 
 
 def test_nothing_to_resume_is_said(tmp_path: Path) -> None:

@@ -54,6 +54,12 @@ def test_where_they_work_at_once_nothing_is_left_for_the_network() -> None:
     assert found.largest == "learner"
 
 
+def test_no_share_is_above_one() -> None:
+    """Three seconds of learning that ended between looks a second apart."""
+    found = after((0.0, 0.0, [A]), (1.0, 3.0, [A]))
+    assert found == (1.0, 0.0, 0.0, 0.0)
+
+
 def test_only_actors_that_were_there_all_the_time_count() -> None:
     """One that left or came has no beginning or no end; without any nothing is known."""
     assert after() is None
