@@ -202,9 +202,9 @@ class Learner:
         status, acting = self._status, self._status.acting
         if status.version == 0:
             self._publish()
-        elif status.is_ahead:
+        elif status.is_ahead and not status.is_finished:
             self._feed.publish(lambda _: acting, status.version, status.num_recoveries)
-        else:
+        elif not status.is_finished:
             self._give(status.version)
 
     def _publish(self) -> None:

@@ -6,6 +6,7 @@ which on they are not learned from yet; see docs/run-directory.md.
 
 import os
 import struct
+import threading
 import zlib
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +19,6 @@ from a2s.protocol.messages import Segment
 _HEAD = struct.Struct("<cII")  # kind, bytes of the body, CRC-32 of kind and body
 _SEGMENT, _ROUND, _BATCH = b"S", b"R", b"B"
 _SLOT, _OF_ROUND, _OF_BATCH = struct.Struct("<i"), struct.Struct("<6q"), struct.Struct("<q")
-_MAX_KEPT = 4  # files: of the three newest checkpoints, and what waited at the oldest
 
 
 class Place(NamedTuple):
@@ -57,6 +57,7 @@ Record = Stored | Begun | Taken
 class Journal:
     """Appends to the newest file of a folder; what was appended survives the death of this process.
 
+    Threads that answer actors append while the learner's loop begins files: one lock guards that.
     ``accepted_steps`` are those of the ledger now.
 
     Attributes:
@@ -69,6 +70,7 @@ class Journal:
 
     def __init__(self, folder: Path, accepted_steps: int = 0) -> None:
         self.folder = folder
+        self._lock = threading.Lock()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._open(max(_numbers(folder), default=0))
@@ -91,46 +93,51 @@ class Journal:
 
     def take(self, accepted_steps: int) -> None:
         """All that was written is a batch."""
-        self._append(_BATCH, _OF_BATCH.pack(accepted_steps))
-        self.place = Place(self._number, self._size, accepted_steps)
+        number, size = self._append(_BATCH, _OF_BATCH.pack(accepted_steps))
+        self.place = Place(number, size, accepted_steps)
 
-    def roll(self) -> None:
-        """Begin a file, and delete those that no checkpoint needs: the newest is whole now."""
-        full = self._file
-        try:
-            self._open(self._number + 1)
-            os.close(full)
-            for number in _numbers(self.folder)[:-_MAX_KEPT]:
-                _path(self.folder, number).unlink()
-        except OSError as error:
-            raise self._failure(error) from None
+    def roll(self, oldest: Place) -> None:
+        """Begin a file, and delete those before a place: no checkpoint needs them."""
+        with self._lock:
+            full = self._file
+            try:
+                if self._size:
+                    self._open(self._number + 1)
+                    os.close(full)
+                for number in _numbers(self.folder):
+                    if number < oldest.file:
+                        _path(self.folder, number).unlink()
+            except OSError as error:
+                raise self._failure(error) from None
 
-    def read(self, place: Place) -> list[Record]:
-        """Read the records after a place; one torn by a kill, at the very end, is cut.
+    def cut(self, size: int) -> None:
+        """Cut what a kill has torn: the newest file is whole up to this byte.
 
         Raises:
-            RunDirectoryError: A record is damaged.
+            RunDirectoryError: The file cannot be written.
         """
-        records, self._size = read(self.folder, place)
         try:
-            os.ftruncate(self._file, self._size)
+            os.ftruncate(self._file, size)
         except OSError as error:
             raise self._failure(error) from None
-        return records
+        self._size = size
 
     def close(self) -> None:
         """Close the file."""
         os.close(self._file)
 
-    def _append(self, kind: bytes, body: bytes) -> None:
+    def _append(self, kind: bytes, body: bytes) -> tuple[int, int]:
+        """Write a record; gives the file, and its size now."""
         head = _HEAD.pack(kind, len(body), zlib.crc32(body, zlib.crc32(kind)))
         data, done = head + body, 0
-        try:
-            while done < len(data):
-                done += os.pwrite(self._file, data[done:], self._size + done)
-        except OSError as error:
-            raise self._failure(error) from None
-        self._size += done
+        with self._lock:
+            try:
+                while done < len(data):
+                    done += os.pwrite(self._file, data[done:], self._size + done)
+            except OSError as error:
+                raise self._failure(error) from None
+            self._size += done
+            return self._number, self._size
 
     def _open(self, number: int) -> None:
         self._file = os.open(_path(self.folder, number), os.O_WRONLY | os.O_CREAT, 0o644)
@@ -205,4 +212,4 @@ def _path(folder: Path, number: int) -> Path:
 
 
 def _numbers(folder: Path) -> list[int]:
-    return sorted(int(path.name) for path in folder.glob("[0-9]*"))
+    return sorted(int(path.name) for path in folder.iterdir() if path.name.isdecimal())

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from a2s.learner.feed import Arrival, Feed
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, advice
+from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, advice, read
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Store
@@ -19,20 +19,21 @@ def read_again(journal: Journal, place: Place, ledger: Ledger) -> list[Record]:
     Raises:
         RunDirectoryError: The journal is damaged, or the ledger knows more than it.
     """
-    records = journal.read(place)
+    records, size = read(journal.folder, place)
     stored = [record for record in records if isinstance(record, Stored)]
     unknown = [s for _, s in stored if not ledger.knows(s.actor, s.seq)]
+    expected = place.accepted_steps + sum(segment.num_steps for _, segment in stored)
+    lost = ledger.accepted_steps + sum(segment.num_steps for segment in unknown) - expected
+    if lost > 0:
+        raise RunDirectoryError(
+            f"{journal.folder}: {lost} steps fewer than in segments.log; restore whichever of the "
+            f"two is damaged, or {advice(journal.folder)}"
+        )
+    journal.cut(size)
     for segment in unknown:
         ledger.record(segment.actor, segment.seq, "accepted", segment.num_steps)
-    expected = place.accepted_steps + sum(segment.num_steps for _, segment in stored)
-    if ledger.accepted_steps > expected:
-        lost = ledger.accepted_steps - expected
-        raise RunDirectoryError(
-            f"{journal.folder}: {lost} steps fewer than in segments.log; {advice(journal.folder)}"
-        )
-    if ledger.accepted_steps < expected:
-        lost = expected - ledger.accepted_steps
-        logger.warning("segments.log: %d steps fewer than were learned from; going on", lost)
+    if lost < 0:
+        logger.warning("segments.log: %d steps fewer than were learned from; going on", -lost)
     return records
 
 
@@ -48,8 +49,12 @@ class JournalFeed(Feed):
         self.left_over = LeftOver()
 
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
-        """Nobody plays, but whoever makes the graph notes its version."""
+        """Nobody plays, but whoever makes the graph notes its version, and it has a quota."""
         make_graph(version)
+        begun = self.left_over.begun
+        if begun is not None:  # a kill may have come before it was written down
+            quota = self._store.quota(begun.num_envs)
+            self.left_over.begun = Begun(version, epoch, begun.num_envs, quota)
 
     def next_batch(self, proceed: Callable[[str], bool]) -> list[Arrival]:
         """Store up to the end of the next batch; empty if there is none, or if that is ended."""

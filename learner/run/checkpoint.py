@@ -4,6 +4,7 @@
 it, ``SHA256SUMS`` of both, so that a damaged checkpoint is recognised and never half used.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -89,6 +90,15 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], S
     raise RunDirectoryError(
         f"{folder}: each of {len(found)} checkpoints is damaged; restore one, or begin another run"
     )
+
+
+def states(folder: Path) -> list[State]:
+    """Read the states of all checkpoints whose state can be read, the oldest first."""
+    found = []
+    for path in all_of(folder):
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            found.append(json.loads((path / _STATE).read_bytes())["state"])
+    return found
 
 
 class DamagedError(Exception):

@@ -67,7 +67,7 @@ class Saver:
         with self._metrics.checkpoint_seconds.time():
             _, size = checkpoint.save(folder, updates, tensors, state, kind=self._kind)
         if journal is not None:
-            journal.roll()
+            journal.roll(min(place(each) for each in checkpoint.states(folder)))
         self._metrics.checkpoint_time.set_to_current_time()
         self._metrics.checkpoint_bytes.set(size)
 

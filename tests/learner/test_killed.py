@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 from scripted_actors import Script
 
+pytestmark = pytest.mark.timeout(300)  # the first to run may compile
+
 Undisturbed = dict[str, tuple[Path, dict[str, Any]]]
 
 SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}

@@ -7,6 +7,7 @@ learner has ended, then evaluates the policy and draws the curve.
 import ctypes
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -219,7 +220,7 @@ def _evaluate(
 
 
 def _show(summary: dict[str, Any], path: Path, out: TextIO) -> None:
-    lines = []
+    lines, run = [], shlex.quote(str(path))
     if result := summary.get("evaluation"):
         lines.append(
             f"evaluation: {written(result['mean'])} +- {written(result['std'])} "
@@ -235,6 +236,6 @@ def _show(summary: dict[str, Any], path: Path, out: TextIO) -> None:
         lines.append(f"curve       {path / 'curves.png'}")
     except UsageError as error:
         lines.append(f"no curve: {error}")
-    lines += [f"everything  {path}", f"again       a2s evaluate {path} --episodes 10"]
-    lines += [f"video       a2s record {path} -o video.mp4", f"share       a2s export {path}"]
+    lines += [f"everything  {path}", f"again       a2s evaluate {run} --episodes 10"]
+    lines += [f"video       a2s record {run} -o video.mp4", f"share       a2s export {run}"]
     typer.echo("\n".join(lines), out)

@@ -1,6 +1,7 @@
 """The journal: what was written is read again, from any checkpoint, or refused by name."""
 
 import logging
+import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from segments import segment
 
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, has
+from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, has, read
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
@@ -111,7 +112,7 @@ def test_a_segment_comes_back_as_it_was(tmp_path: Path) -> None:
     start = journal.place
     journal.segment(3, made)
     journal.begin(_begun(9, epoch=2))
-    stored, begun = journal.read(start)
+    (stored, begun), _ = read(journal.folder, start)
     assert isinstance(stored, Stored)
     assert (stored.slot, begun) == (3, _begun(9, epoch=2))
     for name in ("obs", "suggestion", "log_prob", "reward", "final_obs"):
@@ -120,7 +121,7 @@ def test_a_segment_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 def _records(folder: Path, place: Place) -> list[Record]:
-    return Journal(folder).read(place)
+    return read(folder, place)[0]
 
 
 def test_of_a_torn_end_nothing_was_answered(tmp_path: Path) -> None:
@@ -133,9 +134,11 @@ def test_of_a_torn_end_nothing_was_answered(tmp_path: Path) -> None:
     for end in range(len(whole), len(longer)):
         (tmp_path / "journal" / "00000000").write_bytes(longer[:end])
         again = Journal(tmp_path / "journal")
-        assert len(again.read(Place())) == 1
+        records, size = read(again.folder, Place())
+        assert len(records) == 1
+        again.cut(size)
         again.begin(_begun(1))
-        assert [type(each) for each in again.read(Place())] == [Stored, Begun]
+        assert [type(each) for each in read(again.folder, Place())[0]] == [Stored, Begun]
 
 
 def test_every_flipped_byte_before_the_last_record_is_seen(tmp_path: Path, ledger: Ledger) -> None:
@@ -150,8 +153,10 @@ def test_every_flipped_byte_before_the_last_record_is_seen(tmp_path: Path, ledge
     last = len(whole) - 17
     for at in range(0, last, 3):
         file.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
-        with pytest.raises(RunDirectoryError, match=r"journal.*; delete .*journal to go on from"):
+        damaged = file.read_bytes()
+        with pytest.raises(RunDirectoryError, match=r"journal.* delete .*journal to go on from"):
             read_again(Journal(tmp_path / "journal"), start, ledger)
+        assert file.read_bytes() == damaged
         file.write_bytes(whole)
     assert len(read_again(Journal(tmp_path / "journal"), start, ledger)) == 3
 
@@ -187,7 +192,7 @@ def test_files_go_with_the_checkpoints_that_need_them(tmp_path: Path) -> None:
         journal.take(4 * (seq + 1))
         journal.segment(0, segment(100 + seq))  # waits
         places.append(journal.place)
-        journal.roll()
+        journal.roll(places[-3:][0])
     for place in places[-3:]:
         assert has(journal.folder, place)
         waits = next(iter(_records(tmp_path / "journal", place)))
@@ -195,8 +200,35 @@ def test_files_go_with_the_checkpoints_that_need_them(tmp_path: Path) -> None:
         assert waits.segment.seq == 100 + place.accepted_steps // 4 - 1
     assert not has(journal.folder, places[0])
     assert len(list((tmp_path / "journal").iterdir())) == 4
+    journal.roll(places[-3])
+    assert len(list((tmp_path / "journal").iterdir())) == 4  # nothing was written since
     (end,) = (r for r in _records(tmp_path / "journal", places[-2]) if isinstance(r, Taken))
     assert end.end == places[-1]
+
+
+def test_threads_append_while_files_are_begun(tmp_path: Path) -> None:
+    """Nothing is torn, lost or out of order."""
+    journal = Journal(tmp_path / "journal")
+
+    def write() -> None:
+        for seq in range(300):
+            journal.segment(0, segment(seq))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    while writer.is_alive():
+        journal.roll(Place())
+    writer.join()
+    records, _ = read(journal.folder, Place())
+    assert [each.segment.seq for each in records if isinstance(each, Stored)] == list(range(300))
+    assert len(list(journal.folder.iterdir())) > 1
+
+
+def test_other_files_are_not_its_own(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal")
+    (tmp_path / "journal" / "00000001.bak").touch()
+    journal.segment(0, segment(0))
+    assert len(_records(tmp_path / "journal", Place())) == 1
 
 
 def test_where_there_is_no_room_it_says_so(tmp_path: Path, no_room: NoRoom) -> None:
