@@ -83,7 +83,7 @@ def test_prints_without_a_place_to_go(
     finally:
         actor.terminate()
         actor.wait(PATIENCE_S)
-    assert actor.returncode == 130
+    assert actor.returncode == 143
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,8 @@ def test_it_plays_for_a_learner_that_is_killed_and_resumed(
     assert summary["finished"]
     assert summary["segments"]["refused"] == summary["segments"]["lost"] == 0
     events = map(json.loads, (tmp_path / "run/events.jsonl").read_text().splitlines())
-    assert [each["event"] for each in events] == ["start", "join", "start", "join", "end"]
+    found = [each["event"] for each in events]
+    assert [each for each in found if each != "again"] == ["start", "join", "start", "join", "end"]
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,11 @@ def test_a_training_whose_learner_starts_ends_and_leaves_no_trace_of_a_run_not_b
     "number", [signal.SIGHUP, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
 )
 def test_a_learner_that_starts_ends(start: Start, wait_for: WaitFor, number: int) -> None:
-    learner = start("learner", *REACH, "--run-dir", "run", "--metrics-port", "-1")
+    before = signal.signal(number, signal.SIG_DFL)  # `nohup pytest` has it ignored
+    try:
+        learner = start("learner", *REACH, "--run-dir", "run", "--metrics-port", "-1")
+    finally:
+        signal.signal(number, before)
     maps = psutil.Process(learner.process.pid).memory_maps
     wait_for(lambda: any("libtorch" in m.path for m in maps()), "torch to be loaded")
     assert learner.end(number) == 128 + number, learner.text()
