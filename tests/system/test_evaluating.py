@@ -40,6 +40,7 @@ def test_a_run_is_the_same_to_the_bit_with_and_without_evaluations(
     assert (tmp_path / "seen" / "best" / "policy.onnx").exists()
 
 
+@pytest.mark.long
 def test_an_evaluator_joins_late_and_is_replaced_when_it_dies(
     start: Start, tmp_path: Path, wait_for: WaitFor, endpoint: str
 ) -> None:

@@ -30,6 +30,7 @@ def own_actor(tmp_path: Path, endpoint: str) -> Iterator["subprocess.Popen[bytes
     process.communicate()
 
 
+@pytest.mark.long
 def test_it_plays_for_a_learner_that_is_killed_and_resumed(
     own_actor: "subprocess.Popen[bytes]",
     start: Start,

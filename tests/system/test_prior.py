@@ -41,6 +41,7 @@ def _reached(path: Path) -> None:
     replay.close()
 
 
+@pytest.mark.long
 def test_from_import_to_resume(
     run_a2s: RunA2S, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

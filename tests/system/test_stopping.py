@@ -106,7 +106,7 @@ def test_a_learner_that_starts_ends(start: Start, wait_for: WaitFor, number: int
     _assert_quiet(learner)
 
 
-@pytest.mark.parametrize("is_full", [True, False])
+@pytest.mark.parametrize("is_full", [pytest.param(True, marks=pytest.mark.long), False])
 def test_a_run_outlasts_its_standard_output(tmp_path: Path, *, is_full: bool) -> None:
     """On a full disk, or when whoever read it is gone."""
     command = [
