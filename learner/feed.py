@@ -1,6 +1,6 @@
 """The source of a run's steps, as the learner's loop sees it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Self
 
 from a2s.learner.ingest.ledger import Accounts
@@ -40,6 +40,11 @@ class Arrival(NamedTuple):
                 metrics={metric.name: metric.value for metric in segment.metrics},
             )
         return cls(slot, segment.env, segment.seq, segment.num_steps, episode)
+
+
+def in_order(arrivals: Iterable[Arrival]) -> list[Arrival]:
+    """Sort by slot, environment and number: so a batch does not depend on the order of arrival."""
+    return sorted(arrivals, key=lambda arrival: arrival[:3])
 
 
 class Attendance(NamedTuple):

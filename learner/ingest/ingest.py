@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from a2s.learner.feed import Arrival, Attendance
+from a2s.learner.feed import Arrival, Attendance, in_order
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.clock import Round, clock_of
 from a2s.learner.ingest.journal import Begun, Journal
@@ -204,7 +204,7 @@ class Ingest:
             if arrivals:
                 self._journal.take(self._ledger.accepted_steps)
             self._store.close_batch()
-        return sorted(arrivals, key=lambda arrival: arrival[:3])
+        return in_order(arrivals)
 
     @property
     def num_envs(self) -> int:

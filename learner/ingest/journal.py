@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from a2s.learner.ingest.store import Quota
+from a2s.learner.run.writing import write_at, writing
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.messages import Segment
@@ -71,11 +72,9 @@ class Journal:
     def __init__(self, folder: Path, accepted_steps: int = 0) -> None:
         self.folder = folder
         self._lock = threading.Lock()
-        try:
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             self._open(max(_numbers(folder), default=0))
-        except OSError as error:
-            raise self._failure(error) from None
         self.place = Place(self._number, self._size, accepted_steps)
 
     def segment(self, slot: int, segment: Segment) -> None:
@@ -98,17 +97,14 @@ class Journal:
 
     def roll(self, oldest: Place) -> None:
         """Begin a file, and delete those before a place: no checkpoint needs them."""
-        with self._lock:
+        with self._lock, writing(self.folder):
             full = self._file
-            try:
-                if self._size:
-                    self._open(self._number + 1)
-                    os.close(full)
-                for number in _numbers(self.folder):
-                    if number < oldest.file:
-                        _path(self.folder, number).unlink()
-            except OSError as error:
-                raise self._failure(error) from None
+            if self._size:
+                self._open(self._number + 1)
+                os.close(full)
+            for number in _numbers(self.folder):
+                if number < oldest.file:
+                    _path(self.folder, number).unlink()
 
     def cut(self, size: int) -> None:
         """Cut what a kill has torn: the newest file is whole up to this byte.
@@ -116,10 +112,8 @@ class Journal:
         Raises:
             RunDirectoryError: The file cannot be written.
         """
-        try:
+        with writing(self.folder):
             os.ftruncate(self._file, size)
-        except OSError as error:
-            raise self._failure(error) from None
         self._size = size
 
     def close(self) -> None:
@@ -129,22 +123,13 @@ class Journal:
     def _append(self, kind: bytes, body: bytes) -> tuple[int, int]:
         """Write a record; gives the file, and its size now."""
         head = _HEAD.pack(kind, len(body), zlib.crc32(body, zlib.crc32(kind)))
-        data, done = head + body, 0
-        with self._lock:
-            try:
-                while done < len(data):
-                    done += os.pwrite(self._file, data[done:], self._size + done)
-            except OSError as error:
-                raise self._failure(error) from None
-            self._size += done
+        with self._lock, writing(self.folder):
+            self._size = write_at(self._file, head + body, self._size)
             return self._number, self._size
 
     def _open(self, number: int) -> None:
         self._file = os.open(_path(self.folder, number), os.O_WRONLY | os.O_CREAT, 0o644)
         self._number, self._size = number, os.fstat(self._file).st_size
-
-    def _failure(self, error: OSError) -> RunDirectoryError:
-        return RunDirectoryError(f"{self.folder}: {error.strerror}; mend that and resume")
 
 
 def has(folder: Path, place: Place) -> bool:

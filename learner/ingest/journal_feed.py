@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 
-from a2s.learner.feed import Arrival, Feed
+from a2s.learner.feed import Arrival, Feed, in_order
 from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, advice, read
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
@@ -79,4 +79,4 @@ class JournalFeed(Feed):
         self._store.close_batch()
         arrivals = self.left_over.arrivals
         self.left_over.stored.clear()
-        return sorted(arrivals, key=lambda arrival: arrival[:3])
+        return in_order(arrivals)

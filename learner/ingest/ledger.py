@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from a2s.learner.run.writing import write_at, writing
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Verdict
 
@@ -95,15 +96,9 @@ class Ledger:
         Raises:
             RunDirectoryError: There is no room for it.
         """
-        line, done = f"{actor} {seq} {verdict} {steps}\n".encode(), 0
-        try:
-            while done < len(line):
-                done += os.pwrite(self._file, line[done:], self._size + done)
-        except OSError as error:
-            raise RunDirectoryError(
-                f"{self._path}: {error.strerror}; mend that and resume"
-            ) from None
-        self._size += done
+        line = f"{actor} {seq} {verdict} {steps}\n".encode()
+        with writing(self._path):
+            self._size = write_at(self._file, line, self._size)
         self._count(actor, seq, verdict, steps)
 
     def accounts(self) -> Accounts:

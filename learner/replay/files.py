@@ -17,7 +17,7 @@ import numpy as np
 
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.ring import make_columns
-from a2s.learner.run.directory import write_atomically
+from a2s.learner.run.writing import write_atomically
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.fields import Array, Spaces
 

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from pathlib import Path
 from typing import NamedTuple
 
-from a2s.learner.run.directory import write_atomically
+from a2s.learner.run.writing import write_at, write_atomically
 from a2s.protocol.errors import RunDirectoryError
 
 TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
@@ -87,15 +87,13 @@ class Index:
         try:
             if self._size >= self._compact_at:
                 self._compact(begin)
-            written = 0
-            while written < len(data):
-                written += os.pwrite(self._file, data[written:], self._size + written)
+            end = write_at(self._file, data, self._size)
         except OSError as error:
             os.ftruncate(self._file, self._size)
             raise RunDirectoryError(
                 f"{self._path}: {error.strerror}; nothing is lost, make room and resume"
             ) from None
-        self._size += written
+        self._size = end
 
     def flush(self) -> None:
         """Write everything to the disk, in case the machine dies."""

@@ -4,7 +4,6 @@ import contextlib
 import csv
 import fcntl
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table
+from a2s.learner.run.writing import write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 EPISODE_COLUMNS = (
@@ -38,30 +38,6 @@ EVALUATION_COLUMNS = (
 EPISODES, UPDATES, EVALUATIONS = "episodes.csv", "updates.csv", "evaluations.csv"
 CONFIG = "config.toml"
 ENDPOINT, LOCK = "endpoint", "lock"
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that readers see the old or the new one, whole, whatever is killed.
-
-    Raises:
-        RunDirectoryError: It cannot be written; the old one is still there.
-    """
-    partial = path.with_name(path.name + ".partial")
-    with _writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.rename(path)
-
-
-@contextlib.contextmanager
-def _writing(path: Path | str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise RunDirectoryError(f"{path}: {error.strerror}; mend that and resume") from None
 
 
 @contextlib.contextmanager
@@ -170,9 +146,9 @@ class RunDirectory:
         self.path = path
         self._clock = clock
         self._starts = _read_starts(path / "generation")
-        with _writing(path):
+        with writing(path):
             path.mkdir(parents=True, exist_ok=True)
-            self._episodes = GrowingTable(path / EPISODES, EPISODE_COLUMNS, write_atomically)
+            self._episodes = GrowingTable(path / EPISODES, EPISODE_COLUMNS)
             self._updates = open_table(path / UPDATES, update_columns)
             self._update_columns = header(path / UPDATES)
             self._events = (path / "events.jsonl").open("a", buffering=1)
@@ -183,7 +159,7 @@ class RunDirectory:
 
         Metrics of environments, by their columns, come after these.
         """
-        with _writing(self.path / EPISODES):
+        with writing(self.path / EPISODES):
             self._episodes.append([f"{self._clock():.3f}", *row], metrics)
 
     def read_episodes(self) -> Iterator[tuple[float, float, int, dict[str, float]]]:
@@ -219,14 +195,14 @@ class RunDirectory:
 
     def update(self, row: Mapping[str, object]) -> None:
         """Append to ``updates.csv``."""
-        with _writing(self._updates.name):
+        with writing(self._updates.name):
             values = [_short(row.get(column)) for column in self._update_columns]
             csv.writer(self._updates).writerow(values)
 
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
         self._updates.close()
-        keep_rows(self.path / UPDATES, count, write_atomically)
+        keep_rows(self.path / UPDATES, count)
         self._updates = open_table(self.path / UPDATES, self._update_columns)
 
     def keep_episodes(self, count: int) -> None:
@@ -239,9 +215,9 @@ class RunDirectory:
         Metrics of environments, by their columns, come after these.
         """
         path = self.path / EVALUATIONS
-        with _writing(path):
+        with writing(path):
             if self._evaluations is None:
-                self._evaluations = GrowingTable(path, EVALUATION_COLUMNS, write_atomically)
+                self._evaluations = GrowingTable(path, EVALUATION_COLUMNS)
             self._evaluations.append([f"{self._clock():.3f}", *row], metrics)
 
     def read_evaluations(self, mode: str) -> list[EvaluationRow]:
@@ -259,7 +235,7 @@ class RunDirectory:
     def event(self, kind: str, **details: object) -> None:
         """Append to ``events.jsonl``."""
         stamp = {"wall_s": round(self._clock(), 3), "time": round(time.time(), 3), "event": kind}
-        with _writing(self._events.name):
+        with writing(self._events.name):
             self._events.write(json.dumps(stamp | details) + "\n")
 
     def policy(self, place: str, graph: bytes) -> None:

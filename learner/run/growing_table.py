@@ -2,26 +2,23 @@
 
 import csv
 import io
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
+from a2s.learner.run.writing import write_atomically
 from a2s.protocol.fields import MAX_METRICS
-
-Replace = Callable[[Path, bytes], None]
 
 
 class GrowingTable:
     """Rows with fixed columns and, after these, one for each metric from the first row that has it.
 
-    ``replace`` writes a file atomically.
-
     Attributes:
         metrics: Names of the columns of metrics so far.
     """
 
-    def __init__(self, path: Path, columns: Sequence[str], replace: Replace) -> None:
-        self._path, self._columns, self._replace = path, columns, replace
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        self._path, self._columns = path, columns
         self._file = open_table(path, columns)
         self.metrics = header(path)[len(columns) :]
 
@@ -41,7 +38,7 @@ class GrowingTable:
     def keep(self, count: int) -> None:
         """Forget the rows past this many; columns stay."""
         self._file.close()
-        keep_rows(self._path, count, self._replace)
+        keep_rows(self._path, count)
         self._file = open_table(self._path, self._columns)
 
     def close(self) -> None:
@@ -57,7 +54,7 @@ class GrowingTable:
         csv.writer(text).writerows(
             [[*first, *names], *([*line, *("" for _ in names)] for line in lines)]
         )
-        self._replace(self._path, text.getvalue().encode())
+        write_atomically(self._path, text.getvalue().encode())
         self.metrics += names
         self._file = open_table(self._path, self._columns)
 
@@ -72,10 +69,10 @@ def open_table(path: Path, columns: Sequence[str]) -> IO[str]:
     return file
 
 
-def keep_rows(path: Path, count: int, replace: Replace) -> None:
+def keep_rows(path: Path, count: int) -> None:
     """Forget the rows of a closed table past this many."""
     lines = path.read_text().splitlines(keepends=True)
-    replace(path, "".join(lines[: count + 1]).encode())
+    write_atomically(path, "".join(lines[: count + 1]).encode())
 
 
 def header(path: Path) -> list[str]:

@@ -22,6 +22,12 @@ OFTEN = (
     "--set", "recovery_episodes=0", "--set", "recovery_statistic=mean",
     "--set", "recovery_cool_down=0",
 )  # fmt: skip
+# Off-policy: small networks and batches, which are due soon.
+OFF_POLICY = (
+    "--variant", "off-policy", "--envs", "2", "--set", "critic_sizes=16,16",
+    "--set", "policy_sizes=16,16", "--set", "batch_rows=32", "--set", "send_every_steps=8",
+    "--set", "replay_rows=20000",
+)  # fmt: skip
 REACH = ("--env", "a2s_test_envs:Reach-v0")
 PATIENCE_S = 200.0  # for whole runs, on a busy machine too: only a failure takes so long
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from system_helpers import PATIENCE_S, REACH, Start, metrics_port, rows, scrape
+from system_helpers import OFF_POLICY, PATIENCE_S, REACH, Start, metrics_port, rows, scrape
 
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory
@@ -22,11 +22,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(240 + 60 * KILLS)]
 
 WaitFor = Callable[..., None]
 RunA2S = Callable[..., dict[str, Any]]
-SMALL = (
-    "--variant", "off-policy", "--envs", "2", "--set", "critic_sizes=16,16",
-    "--set", "policy_sizes=16,16", "--set", "batch_rows=32", "--set", "warm_up_steps=100",
-    "--set", "send_every_steps=8", "--set", "replay_rows=20000",
-)  # fmt: skip
+SMALL = (*OFF_POLICY, "--set", "warm_up_steps=100")
 
 
 def _acknowledged(run: Path) -> Ledger:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from segments import segment
-from system_helpers import REACH, rows
+from system_helpers import OFF_POLICY, REACH, rows
 from typer.testing import CliRunner
 
 from a2s.cli import app
@@ -20,9 +20,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 RunA2S = Callable[..., dict[str, Any]]
 SMALL = (
-    *REACH, "--variant", "off-policy", "--lockstep", "--n", "1", "--envs", "2", "--seed", "3",
-    "--set", "critic_sizes=16,16", "--set", "policy_sizes=16,16", "--set", "batch_rows=32",
-    "--set", "warm_up_steps=50", "--set", "send_every_steps=8", "--set", "replay_rows=20000",
+    *REACH, *OFF_POLICY, "--lockstep", "--n", "1", "--seed", "3", "--set", "warm_up_steps=50",
     "--metrics-port", "-1", "--episodes", "1",
 )  # fmt: skip
 _SPACES = Spaces(obs_size=1, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))

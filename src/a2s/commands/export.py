@@ -183,9 +183,8 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
     """A model card as model hubs read it."""
     found = summary.get("evaluation") or {}
     found = found if found.keys() >= _OF_EVALUATION else {}
-    module, _, own = config.env_id.rpartition(":")
-    needs = "gymnasium" if own and module else "'gymnasium[mujoco]'"
-    name = config.env_id.rpartition(":")[2]
+    module, _, name = config.env_id.rpartition(":")
+    needs = "gymnasium" if module else "'gymnasium[mujoco]'"
     score = f"{found['mean']:.2f} +/- {found['std']:.2f}" if found else ""
     low, high = metadata["action_low"], metadata["action_high"]
     lines = [

@@ -37,6 +37,7 @@ from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
+from a2s.learner.run.writing import write_atomically
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
@@ -91,14 +92,14 @@ class Place:
     def write_config(self, configuration: Configuration) -> None:
         """Write it only once the run can go on with it: an existing one is resumed by default."""
         text = configuration.to_toml()
-        run_directory.write_atomically(self.path / run_directory.CONFIG, text.encode())
+        write_atomically(self.path / run_directory.CONFIG, text.encode())
 
     def write_endpoint(self, endpoint: str) -> None:
         """Write down where the learner listens, for ``a2s status``."""
         kind, _, place = endpoint.partition("/")
         if kind == "unixsock-stream":
             endpoint = f"{kind}/{Path(place).absolute()}"
-        run_directory.write_atomically(self.path / run_directory.ENDPOINT, endpoint.encode())
+        write_atomically(self.path / run_directory.ENDPOINT, endpoint.encode())
 
     def run(self, learner: Learner, stop: Stop) -> dict[str, Any]:
         """Run a learner until it is done or stopped; gives the summary."""

@@ -23,6 +23,11 @@ _STANDARD_ERROR = 2
 _CHILD_S = 120.0
 
 
+def exit_code(number: int) -> int:
+    """As shells have it: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP."""
+    return 128 + number
+
+
 class Stop(threading.Event):
     """Set by the first signal; ``number`` is that of the signal, 0 without one."""
 
@@ -35,8 +40,8 @@ class Stop(threading.Event):
 
     @property
     def exit_code(self) -> int:
-        """As shells have it: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP; 0 without one."""
-        return 128 + self.number if self.number else 0
+        """That of the signal; 0 without one."""
+        return exit_code(self.number) if self.number else 0
 
 
 @contextlib.contextmanager
@@ -62,7 +67,7 @@ def end_on_signals() -> None:
     """Have signals end this process with the exit code of a `Stop`, without a word."""
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
-        raise SystemExit(128 + number)
+        raise SystemExit(exit_code(number))
 
     for number in _signals():
         signal.signal(number, on_signal)

@@ -25,6 +25,7 @@ from a2s.commands.process import (
     EXIT_FAILED,
     SIGNALS,
     Stop,
+    exit_code,
     free_endpoint,
     outlast_streams,
     stop_on_signals,
@@ -132,11 +133,10 @@ def _run(
                 started(evaluator_options, other_log, niceness=_NICENESS)
             )
         _wait(learner, actors, evaluator, path, stop)
-    if not (path / run_directory.CONFIG).exists():
-        run_directory.remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
+    run_directory.remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
     # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
-    is_stopped = learner.returncode in {128 + number for number in SIGNALS}
+    is_stopped = learner.returncode in map(exit_code, SIGNALS)
     if learner.returncode == 0 or is_stopped or is_ended_by_us:
         return 0
     if _starts(path) == before and learner.returncode > 0:

@@ -18,7 +18,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from a2s.commands.train import started
 from a2s.learner.numerals import written
 from a2s.learner.run.config import assemble, parse_settings, read
-from a2s.learner.run.directory import CONFIG, evaluations, write_atomically
+from a2s.learner.run.directory import CONFIG, evaluations
+from a2s.learner.run.writing import write_atomically
 from a2s.protocol.errors import A2SError, UsageError
 
 _LAST = 5  # evaluations whose mean a trial is worth

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from a2s.learner.run.directory import RunDirectory, choose, claimed, remove_traces, write_atomically
+from a2s.learner.run.directory import RunDirectory, choose, claimed, remove_traces
+from a2s.learner.run.writing import write_atomically
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 NoRoom = Callable[[], AbstractContextManager[None]]
