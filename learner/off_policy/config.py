@@ -103,8 +103,8 @@ class OffPolicyConfig(Settings):
     )
     precision: Precision = setting(
         "fastest",
-        "Of matrix products; ``fastest``: bf16 where the processor multiplies it",
-        "AVX-512 and AMX have bf16",
+        "Of matrix products; ``fastest``: bf16 where that is faster",
+        "matrix units and AMD's vectors are; docs/adr/0029",
     )
     policy_loss: OffPolicyLoss = setting(
         "pathwise",

@@ -31,7 +31,6 @@ P = TypeVar("P")
 # An update takes milliseconds and leaves most of the time to actors, which need not wait for it.
 _OFF_POLICY = {"clock": "async", "checkpoint_every_updates": 2000}
 _WARM_UP_PART = 10
-_BF16_FLAGS = {"avx512_bf16", "amx_bf16"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -235,8 +234,17 @@ def _change(config: C, given: Mapping[str, object]) -> C:
 
 def _fastest_precision() -> Literal["bf16", "f32"]:
     processor = Path("/proc/cpuinfo")  # torch could say, but takes seconds to import
-    flags = processor.read_text().split() if processor.exists() else []
-    return "bf16" if _BF16_FLAGS.intersection(flags) else "f32"
+    return fastest_precision(processor.read_text() if processor.exists() else "")
+
+
+def fastest_precision(cpuinfo: str) -> Literal["bf16", "f32"]:
+    """Which products are faster on a processor, by Linux's ``/proc/cpuinfo`` (docs/adr/0029).
+
+    Not measured: a run that is repeated on the same machine must come to the same bits.
+    """
+    words = set(cpuinfo.split())
+    vectors = "avx512_bf16" in words and "AuthenticAMD" in words
+    return "bf16" if vectors or "amx_bf16" in words else "f32"
 
 
 def _plain(value: object) -> object:

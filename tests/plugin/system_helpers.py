@@ -70,7 +70,11 @@ def _parents(process: psutil.Process) -> list[psutil.Process]:
 
 
 def _is_worker(process: psutil.Process) -> bool:
-    return "a2s.actors.worker" in " ".join(process.cmdline())
+    """Whether a process is a living worker, or was forked by one."""
+    try:
+        return "a2s.actors.worker" in " ".join(process.cmdline())
+    except psutil.NoSuchProcess:
+        return False
 
 
 Start = Callable[..., Command]
