@@ -25,6 +25,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@echo "== compiling what the learner computes (half a minute)"
 	@$(BIN)/python -W ignore -c 'from a2s.learner.on_policy.warm_up import warm_up; warm_up()'
+	@$(BIN)/python -W ignore -c 'from a2s.learner.off_policy.warm_up import warm_up; warm_up("f32")'
 	@touch $(INSTALLED)
 
 train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env HalfCheetah-v5"

@@ -316,7 +316,8 @@ class Ingest:
         return self._clock.missing(self._round, heard, now_s)
 
     def _coming(self, now_s: float) -> str:
-        return self._members.describe_newcomers(now_s) or "start `a2s actor`"
+        coming = self._members.describe_newcomers(now_s)
+        return coming or "start `a2s actor` unless it starts already"
 
     def _leave(self, actor: str, reason: str) -> None:
         member = self._members.leave(actor)

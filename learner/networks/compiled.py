@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import threadpoolctl
@@ -66,6 +67,12 @@ def run_together(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         finally:
             wait(begun)
     return [result, *(each.result() for each in begun)]
+
+
+def is_kept(kernel: Any) -> bool:
+    """Whether a compiled loop is kept on this machine, for any kind of arguments."""
+    kept, name = Path(kernel.stats.cache_path or ""), kernel.__name__
+    return any(kept.glob(f"{kernel.__module__.rsplit('.', 1)[-1]}.{name}-*.nbi"))
 
 
 @functools.cache

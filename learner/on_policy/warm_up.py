@@ -3,10 +3,9 @@
 Done before a run begins, it can be announced (docs/adr/0022).
 """
 
-from pathlib import Path
-
 import torch
 
+from a2s.learner.networks.compiled import is_kept
 from a2s.learner.on_policy import fit_kernels
 from a2s.learner.on_policy.batch import Batch
 from a2s.learner.on_policy.config import OnPolicyConfig
@@ -17,9 +16,7 @@ _STEPS, _UPDATES = 8, 2  # the second asks Q about the batch, too
 
 def is_compiled() -> bool:
     """Whether it is kept already; else `warm_up` takes tens of seconds, not one."""
-    kernel = fit_kernels.policy_pass
-    kept = Path(kernel.stats.cache_path or "")
-    return any(kept.glob(f"{fit_kernels.__name__.rsplit('.', 1)[-1]}.{kernel.__name__}-*.nbi"))
+    return is_kept(fit_kernels.policy_pass)
 
 
 def warm_up() -> None:

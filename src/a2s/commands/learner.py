@@ -24,15 +24,16 @@ from a2s.commands.process import (
 )
 from a2s.learner.learner import Learner
 from a2s.learner.make import make_learner, make_replay_learner
+from a2s.learner.off_policy import warm_up as off_policy_warm_up
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay
-from a2s.learner.on_policy import warm_up
+from a2s.learner.on_policy import warm_up as on_policy_warm_up
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.replay import directory
 from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.run import directory as run_directory
-from a2s.learner.run.config import Configuration
+from a2s.learner.run.config import Configuration, Hyper
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
@@ -130,7 +131,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
     with stop_on_signals() as stop:
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
         if described is not None:
-            _compile(configuration, place.out)
+            _compile(configuration.hyper, place.out)
     if described is None or stop.interrupted:
         return stop.exit_code
     with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
@@ -172,12 +173,17 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
     return place.end(summary, stop)
 
 
-def _compile(configuration: Configuration, out: TextIO) -> None:
-    """Load what an on-policy update calls; on a new machine that takes a while, and is said."""
-    if isinstance(configuration.hyper, OnPolicyConfig):
-        if not warm_up.is_compiled():
-            typer.echo("compiling what the learner computes: once, in about half a minute", out)
-        warm_up.warm_up()
+def _compile(hyper: Hyper, out: TextIO) -> None:
+    """Load what an update calls; on a new machine that takes a while, and is said."""
+    announced = "compiling what the learner computes: once, in about {}"
+    if isinstance(hyper, OffPolicyConfig):
+        if not off_policy_warm_up.is_compiled():
+            typer.echo(announced.format("ten seconds"), out)
+        off_policy_warm_up.warm_up(hyper.precision)
+    elif isinstance(hyper, OnPolicyConfig):
+        if not on_policy_warm_up.is_compiled():
+            typer.echo(announced.format("half a minute"), out)
+        on_policy_warm_up.warm_up()
 
 
 def learn_from(

@@ -346,9 +346,9 @@ def test_waiting_says_what_for(run: _Run) -> None:
     run.ingest.gone("a")
     run.ingest.next_batch(once)
     assert heard == [
-        "1 more of 1 actors: start `a2s actor`",
+        "1 more of 1 actors: start `a2s actor` unless it starts already",
         "segments of version 5 from actors [0]",
-        "actors: none is present, start `a2s actor`",
+        "actors: none is present, start `a2s actor` unless it starts already",
     ]
 
 
