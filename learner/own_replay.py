@@ -33,7 +33,9 @@ class OwnReplay:
 
     ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
     that had not been learned from by then are taken back if they come ``again``, else they belong
-    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows.
+    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows: with
+    ``batchwise`` those of a batch are inserted when it is closed, in an order that does not depend
+    on that of their arrival (the journal keeps them until then); else as they arrive.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
@@ -57,6 +59,7 @@ class OwnReplay:
         prior: Prior | None = None,
         *,
         again: bool = False,
+        batchwise: bool = False,
     ) -> None:
         self._hyper, self._metrics, self._prior = hyper, metrics, prior
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
@@ -70,6 +73,8 @@ class OwnReplay:
         )
         self._quota_steps = hyper.send_every_steps
         self._update_s = 0.01
+        self._batchwise = batchwise
+        self._waiting: list[tuple[int, Segment]] = []
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
         self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned, again=again)
         num_rows = self.replay.live.stop
@@ -100,12 +105,16 @@ class OwnReplay:
         return Quota(max(1, min(self._quota_steps, self._limiter.free_inserts)), steps, 0)
 
     def store(self, slot: int, segment: Segment) -> None:
-        """Insert a segment; it survives the death of this process then."""
-        self.replay.insert(segment)
+        """Take a segment: it is inserted now, or when the batch is closed."""
+        if self._batchwise:
+            self._waiting.append((slot, segment))
+        else:
+            self.replay.insert(segment)
         self._limiter.count_insert(segment.num_steps)
 
     def close_batch(self) -> None:
         """Let updates be due for the rows inserted so far, and no more."""
+        self._insert_waiting()
         self._new_obs = self.replay.obs_since(self._num_learned)
         self._num_closed = self.replay.live.stop
 
@@ -169,7 +178,8 @@ class OwnReplay:
         }
 
     def close(self) -> None:
-        """Close the files."""
+        """Insert what waits, to be there for who reads the files, and close them."""
+        self._insert_waiting()
         self.replay.close()
         if self._prior is not None:
             self._prior.close()
@@ -178,6 +188,11 @@ class OwnReplay:
     def _max_updates(self) -> int:
         """Updates of a round at most."""
         return 2 * math.ceil(self._quota_steps * self._hyper.utd_ratio)
+
+    def _insert_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for _, segment in sorted(waiting, key=lambda each: (each[0], each[1].env, each[1].seq)):
+            self.replay.insert(segment)
 
     def _waits(self) -> dict[str, int]:
         return {"insert": self._limiter.insert_waits, "sample": self._limiter.sample_waits}
