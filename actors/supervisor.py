@@ -35,6 +35,8 @@ class _Worker:
     start_at_s: float = 0.0
     deaths_in_a_row: int = 0
     accepted: float = 0.0
+    has_worked: bool = False  # this process, or one before it
+    is_given_up: bool = False
     error: str = ""
     is_hopeless: bool = False
     silent_s: float = 0.0  # counted in checks, so that no worker is late after all were suspended
@@ -44,7 +46,8 @@ class Supervisor:
     """Keeps one worker process per task alive.
 
     A worker that dies, or does not come back from its environment, is replaced after a back-off
-    that grows with every death; after five in a row without an accepted segment :meth:`run` raises.
+    that grows with every death. After five in a row without an accepted segment it is given up, and
+    :meth:`run` raises if no other worker has worked.
     """
 
     def __init__(self, tasks: list[Task], fleet: Fleet) -> None:
@@ -69,6 +72,8 @@ class Supervisor:
 
     def _look_after(self, index: int, worker: _Worker) -> None:
         child = worker.child
+        if worker.is_given_up:
+            return
         if child is None:
             if time.monotonic() >= worker.start_at_s:
                 self._start(index, worker)
@@ -92,16 +97,24 @@ class Supervisor:
     def _replace(self, index: int, worker: _Worker, cause: str) -> None:
         worker.deaths_in_a_row = 1 if worker.accepted else worker.deaths_in_a_row + 1
         if worker.deaths_in_a_row >= _DEATHS_WITHOUT_WORK:
-            raise A2SError(
-                f"worker {index} died {_DEATHS_WITHOUT_WORK} times in a row before it had done "
-                f"any work; last: {cause}"
-            )
+            self._give_up(index, worker, cause)
+            return
         shortest_s, longest_s = _BACK_OFF_S
         back_off_s = min(shortest_s * 2 ** (worker.deaths_in_a_row - 1), longest_s)
         worker.start_at_s = time.monotonic() + back_off_s
         worker.task = replace(worker.task, cause=cause)
         self._fleet.restarted(index)
         logger.warning("worker %d is replaced in %.1f s: %s", index, back_off_s, cause)
+
+    def _give_up(self, index: int, worker: _Worker, cause: str) -> None:
+        said = (
+            f"worker {index} died {_DEATHS_WITHOUT_WORK} times in a row before it had done any "
+            f"work; last: {cause}"
+        )
+        worker.is_given_up = True
+        if not any(other.has_worked and not other.is_given_up for other in self._workers):
+            raise A2SError(said)
+        logger.error("%s; it is given up, the others go on", said)
 
     def _start(self, index: int, worker: _Worker) -> None:
         worker.accepted, worker.error, worker.is_hopeless = 0.0, "", False
@@ -118,6 +131,7 @@ class Supervisor:
         if "samples" in report:
             self._fleet.update(index, report["samples"])
             worker.accepted = report["accepted"]
+            worker.has_worked |= worker.accepted > 0
         if "env_id" in report:
             worker.watch.env_id, worker.watch.timeout_s = report["env_id"], report["timeout_s"]
         if "error" in report:

@@ -171,6 +171,28 @@ DEEDS: dict[str, Callable[[], object]] = {
 }  # fmt: skip
 
 
+class Doomed(Control):
+    """Of one worker every step aborts, once it has made 400.
+
+    Args:
+        worker: Number of the worker.
+        doomed: Number of the one that aborts.
+        notes: Directory that says whether it has.
+    """
+
+    def __init__(self, worker: int, doomed: int, notes: str) -> None:
+        super().__init__()
+        self._note, self._steps = Path(notes) / "doomed", 0
+        self._is_doomed = worker == doomed
+
+    def step(self, action: Obs) -> Step:
+        self._steps += 1
+        if self._is_doomed and (self._steps == 400 or self._note.exists()):
+            self._note.touch()
+            os.abort()
+        return super().step(action)
+
+
 class HangsAlways(Control):
     """Never returns from where it is told."""
 
@@ -341,7 +363,7 @@ class Flood(Control):
 
 
 for _class in (
-    Noisy, Helpers, Hangs, HangsAlways, Places, Spoils, SilencesLogs, Daemons, Forks,
+    Noisy, Helpers, Hangs, Doomed, HangsAlways, Places, Spoils, SilencesLogs, Daemons, Forks,
     ReadsArguments, SlowResets, Flood,
 ):  # fmt: skip
     register(_class.__name__, _class)

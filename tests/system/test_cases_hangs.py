@@ -37,6 +37,21 @@ def test_what_hangs_is_replaced_and_named_and_the_run_goes_on(tmp_path: Path) ->
     assert segments["sent"] == sum(segments[k] for k in ("accepted", "stale", "refused", "lost"))
 
 
+@pytest.mark.long
+def test_who_dies_again_and_again_is_given_up_and_the_others_go_on(tmp_path: Path) -> None:
+    """What it has done before does not count: only what it has done since its last death."""
+    options = ("--env-kwargs", "worker={worker}", "--env-kwargs", f"notes={tmp_path}")
+    more = ("--env-kwargs", "doomed=1", "--n", "2", "--total-steps", "40000")
+    trained = train(tmp_path, "a2s_case_processes:Doomed-v0", *options, *SMALL, *more)
+    assert trained.summary["env_steps"] >= 40_000
+    said = "worker 1 died 5 times in a row before it had done any work; last: environment "
+    assert said in trained.actors_log()
+    assert "SIGABRT in step of environment 0; it is given up, the others go on" in (
+        trained.actors_log()
+    )
+    assert len(trained.events("restart")) == 4
+
+
 def test_a_close_that_never_returns_hinders_nobody(tmp_path: Path) -> None:
     options = ("--env-kwargs", "where=close", "--env-timeout", "2")
     trained = train(tmp_path, "a2s_case_processes:HangsAlways-v0", *options, *SMALL)
