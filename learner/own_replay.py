@@ -20,6 +20,7 @@ from a2s.learner.replay.replay import Replay
 from a2s.learner.replay.ring import Rows
 from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.metrics import LearnerMetrics
+from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
 
@@ -78,7 +79,6 @@ class OwnReplay:
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
         self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned, again=again)
         num_rows = self.replay.live.stop
-        self._num_learned = min(self._num_learned, num_rows)  # another replay may have been begun
         self._limiter.count_insert(num_rows)
         if saved is not None:
             self._limiter.load(saved["limiter"], num_rows)
@@ -220,7 +220,10 @@ def _open(
     alpha, capacity, batch_size = hyper.priority_exponent, hyper.replay_rows, hyper.batch_rows
     if not (path / files.NAME).exists():
         if num_learned:
-            logger.warning("replay %s: is not there any more, another is begun", path)
+            raise RunDirectoryError(
+                f"replay {path}: is not there any more; restore it, or begin another run with "
+                f"--init-from {path.parent}"
+            )
         return directory.create(path, env_id, spaces, capacity, batch_size=batch_size, alpha=alpha)
     return directory.open_existing(
         path,

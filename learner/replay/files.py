@@ -102,7 +102,14 @@ def describe(path: Path) -> Description:
         )
     except FileNotFoundError:
         raise RunDirectoryError(f"{path}: holds no replay, it has no {NAME}") from None
-    except (OSError, ValueError, KeyError, TypeError, MalformedMessageError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RecursionError,
+        MalformedMessageError,
+    ) as error:
         raise RunDirectoryError(f"replay {path}: {NAME} is damaged ({error})") from None
 
 

@@ -96,7 +96,7 @@ def states(folder: Path) -> list[State]:
     """Read the states of all checkpoints whose state can be read, the oldest first."""
     found = []
     for path in all_of(folder):
-        with contextlib.suppress(OSError, ValueError, KeyError):
+        with contextlib.suppress(OSError, ValueError, KeyError, RecursionError):
             found.append(json.loads((path / _STATE).read_bytes())["state"])
     return found
 
@@ -124,7 +124,7 @@ def read(path: Path, kind: str | None = None) -> tuple[dict[str, Tensor], State]
                 "--resume goes on with the same run only"
             )
         return safetensors.torch.load(files[_TENSORS]), whole["state"]
-    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError) as error:
         raise DamagedError(str(error)) from None
 
 

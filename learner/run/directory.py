@@ -4,6 +4,7 @@ import contextlib
 import csv
 import fcntl
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table
-from a2s.learner.run.writing import write_atomically, writing
+from a2s.learner.run.writing import open_lines, write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 EPISODE_COLUMNS = (
@@ -151,7 +152,7 @@ class RunDirectory:
             self._episodes = GrowingTable(path / EPISODES, EPISODE_COLUMNS)
             self._updates = open_table(path / UPDATES, update_columns)
             self._update_columns = header(path / UPDATES)
-            self._events = (path / "events.jsonl").open("a", buffering=1)
+            self._events = open_lines(path / "events.jsonl")
             self._evaluations: GrowingTable | None = None
 
     def episode(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
@@ -194,7 +195,12 @@ class RunDirectory:
         return self._starts
 
     def update(self, row: Mapping[str, object]) -> None:
-        """Append to ``updates.csv``."""
+        """Append to ``updates.csv``.
+
+        Raises:
+            RunDirectoryError: It cannot be written, or the directory is not there any more.
+        """
+        self._require_there()
         with writing(self._updates.name):
             values = [_short(row.get(column)) for column in self._update_columns]
             csv.writer(self._updates).writerow(values)
@@ -247,6 +253,16 @@ class RunDirectory:
         for file in (self._episodes, self._updates, self._events, self._evaluations):
             if file is not None:
                 file.close()
+
+    def _require_there(self) -> None:
+        with contextlib.suppress(OSError):
+            there = os.stat(self._events.name)
+            if os.path.samestat(there, os.fstat(self._events.fileno())):
+                return
+        raise RunDirectoryError(
+            f"{self.path}: was deleted or moved while the run went on, and nothing more can be "
+            "kept; where it is now, --resume goes on with it"
+        )
 
 
 def evaluations(path: Path, mode: str) -> list[EvaluationRow]:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from a2s.learner.run.writing import write_atomically
+from a2s.learner.run.writing import open_lines, write_atomically
 from a2s.protocol.fields import MAX_METRICS
 
 
@@ -60,11 +60,9 @@ class GrowingTable:
 
 
 def open_table(path: Path, columns: Sequence[str]) -> IO[str]:
-    """Open a table for appending, without a row that a kill, or want of room, has torn."""
-    whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
-    file = path.open("a", newline="", buffering=1)
-    file.truncate(whole)
-    if not whole:
+    """Open a table for appending."""
+    file = open_lines(path)
+    if not file.tell():
         csv.writer(file).writerow(columns)
     return file
 

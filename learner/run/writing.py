@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from a2s.protocol.errors import RunDirectoryError
 
@@ -35,6 +36,15 @@ def write_atomically(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         partial.rename(path)
+
+
+def open_lines(path: Path) -> IO[str]:
+    """Open a file for appending, without a line that a kill, or want of room, has torn."""
+    whole = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
+    file = path.open("a", newline="", buffering=1)
+    file.truncate(whole)
+    file.seek(whole)
+    return file
 
 
 def write_at(file: int, data: bytes, begin: int) -> int:

@@ -309,10 +309,9 @@ def test_a_replay_that_lacks_what_a_checkpoint_knows_is_damaged_and_left_alone(
     assert {p.name: p.read_bytes() for p in (place / "replay").iterdir()} == before
 
 
-def test_rows_after_the_checkpoint_may_be_torn_and_another_replay_begun(
+def test_rows_after_the_checkpoint_may_be_torn_which_is_said(
     make: Learn, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Both are said."""
     place = tmp_path / "run"
     run = make()
     saved = _saved_after(8, run, place)
@@ -322,15 +321,21 @@ def test_rows_after_the_checkpoint_may_be_torn_and_another_replay_begun(
     again = make(saved=saved)
     again.learn()
     assert again.trainer.state()[1]["learned_from"] == 55
-    again.trainer.close()
-    shutil.move(place / "replay", tmp_path / "moved")
-    begun = make(saved=saved)
-    begun.play(0, 1)
-    assert begun.trainer.state()[1]["learned_from"] == 5
     assert [record.message for record in caplog.records] == [
-        f"replay {place / 'replay'}: cut 1 torn records at its end",
-        f"replay {place / 'replay'}: is not there any more, another is begun",
+        f"replay {place / 'replay'}: cut 1 torn records at its end"
     ]
+
+
+def test_a_replay_that_is_gone_is_not_begun_anew(make: Learn, tmp_path: Path) -> None:
+    """What was learned from it would be learned from no more; another run can begin from here."""
+    place = tmp_path / "run"
+    run = make()
+    saved = _saved_after(8, run, place)
+    run.trainer.close()
+    shutil.move(place / "replay", tmp_path / "moved")
+    with pytest.raises(RunDirectoryError, match="not there any more; restore it, or begin another"):
+        make(saved=saved)
+    assert not (place / "replay").exists()
 
 
 def test_a_replay_of_another_environment_or_below_one_batch_is_refused(make: Learn) -> None:

@@ -1,6 +1,7 @@
 """The directory of a run: where it is, and what stands in it."""
 
 import json
+import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -50,6 +51,38 @@ def test_of_a_refused_run_nothing_is_left_and_of_another_everything(tmp_path: Pa
     assert sorted(each.name for each in tmp_path.iterdir()) == ["begun", "used"]
     assert len(list((tmp_path / "begun").iterdir())) == 4
     assert [each.name for each in (tmp_path / "used").iterdir()] == ["notes"]
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "another in its place"])
+def test_a_directory_that_is_gone_is_noticed(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "run"
+    directory = RunDirectory(path, ("update",), lambda: 0.0)
+    directory.update({"update": 1})
+    if how == "deleted":
+        shutil.rmtree(path)
+    else:
+        path.rename(tmp_path / "moved")
+    if how == "another in its place":
+        RunDirectory(path, ("update",), lambda: 0.0).close()
+    with pytest.raises(RunDirectoryError, match="deleted or moved while the run went on"):
+        directory.update({"update": 2})
+    directory.close()
+
+
+def test_an_event_that_was_torn_does_not_spoil_the_next_one(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    directory = RunDirectory(path, (), lambda: 0.0)
+    directory.event("start")
+    directory.close()
+    events = path / "events.jsonl"
+    events.write_text(events.read_text() + '{"wall_s": 0.0, "ti')
+    again = RunDirectory(path, (), lambda: 0.0)
+    again.event("join")
+    again.close()
+    assert [json.loads(line)["event"] for line in events.read_text().splitlines()] == [
+        "start",
+        "join",
+    ]
 
 
 def test_nothing_to_resume_is_said(tmp_path: Path) -> None:
