@@ -86,8 +86,8 @@ class Learner:
         option = "a higher --stop-at-return" if self._status.is_good else "--total-steps"
         return f"{self._status.ended}; {option} for more" if self._status.ended else ""
 
-    def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Learn until ``total_steps``, or until stopped.
+    def run(self, stopped: Callable[[], bool], *, only_again: bool = False) -> dict[str, Any]:
+        """Learn until ``total_steps``, or until stopped; or ``only_again`` what is in the journal.
 
         Returns:
             The summary, as in ``summary.json``.
@@ -109,9 +109,9 @@ class Learner:
             self._start()
             self._learn_again(proceed)
             try:
-                if self._past is None or not stopped():
+                if not only_again and (self._past is None or not stopped()):
                     self._open()
-                while not self._status.is_finished and not stopped():
+                while not only_again and not self._status.is_finished and not stopped():
                     if not self._step(proceed):
                         break
             except UnreachableError as error:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
-from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.journal import Journal, Record, Taken, has
@@ -211,7 +210,7 @@ def make_off_policy(
         logger.warning("%s", prior)
     replay = OwnReplay(
         path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics, state, prior,
-        again=again, batchwise=clock_of(run.clock).waits_for_weights,
+        again=again,
     )  # fmt: skip
     trainer = OffPolicyTrainer(algorithm, replay, spaces, metadata, metrics, updates)
     return trainer, replay

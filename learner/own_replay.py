@@ -34,9 +34,9 @@ class OwnReplay:
 
     ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
     that had not been learned from by then are taken back if they come ``again``, else they belong
-    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows: with
-    ``batchwise`` those of a batch are inserted when it is closed, in an order that does not depend
-    on that of their arrival (the journal keeps them until then); else as they arrive.
+    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows:
+    those of a batch are inserted when it is closed, in an order that does not depend on that of
+    their arrival, so that what is drawn does not depend on time; until then the journal has them.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
@@ -60,7 +60,6 @@ class OwnReplay:
         prior: Prior | None = None,
         *,
         again: bool = False,
-        batchwise: bool = False,
     ) -> None:
         self._hyper, self._metrics, self._prior = hyper, metrics, prior
         self._rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
@@ -74,7 +73,6 @@ class OwnReplay:
         )
         self._quota_steps = hyper.send_every_steps
         self._update_s = 0.01
-        self._batchwise = batchwise
         self._waiting: list[tuple[int, Segment]] = []
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
         self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned, again=again)
@@ -105,15 +103,12 @@ class OwnReplay:
         return Quota(max(1, min(self._quota_steps, self._limiter.free_inserts)), steps, 0)
 
     def store(self, slot: int, segment: Segment) -> None:
-        """Take a segment: it is inserted now, or when the batch is closed."""
-        if self._batchwise:
-            self._waiting.append((slot, segment))
-        else:
-            self.replay.insert(segment)
+        """Take a segment, to be inserted when the batch is closed."""
+        self._waiting.append((slot, segment))
         self._limiter.count_insert(segment.num_steps)
 
     def close_batch(self) -> None:
-        """Let updates be due for the rows inserted so far, and no more."""
+        """Insert what was taken; updates are due for the rows so far, and no more."""
         self._insert_waiting()
         self._new_obs = self.replay.obs_since(self._num_learned)
         self._num_closed = self.replay.live.stop

@@ -50,7 +50,7 @@ def test_every_step_gets_its_update_and_is_in_the_replay(run_a2s: RunA2S, tmp_pa
 
 def test_lockstep_is_reproducible_to_the_bit(run_a2s: RunA2S, tmp_path: Path) -> None:
     """With two actors, whichever is faster; so are the rows of the replay."""
-    options = (*REACH, *SMALL, "--lockstep", "--n", "2", "--seed", "3", "--total-steps", "400")
+    options = (*REACH, *SMALL, "--lockstep", "--n", "2", "--seed", "3", "--total-steps", "300")
     summaries = [run_a2s("train", *options, "--run", name) for name in ("one", "two")]
     one, two = (tmp_path / "runs" / name for name in ("one", "two"))
     for table in ("episodes.csv", "updates.csv"):

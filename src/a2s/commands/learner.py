@@ -12,6 +12,7 @@ from typing import Any, TextIO
 import torch
 import typer
 
+from a2s.actors.description import Description as Described
 from a2s.actors.description import describe
 from a2s.commands.process import (
     LEARNER_METRICS_PORT,
@@ -127,12 +128,8 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         A2SError: The user asked for something impossible, or the run cannot go on.
     """
     run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
-    _prepare_process(run)
-    with stop_on_signals() as stop:
-        described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
-        if described is not None:
-            _compile(configuration.hyper, place.out)
-    if described is None or stop.interrupted:
+    described, stop = prepare(configuration, place.out)
+    if described is None:
         return stop.exit_code
     with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
         typer.echo(_banner(run, place.path, endpoint, url), place.out)
@@ -171,6 +168,17 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
         if summary["updates"]:
             typer.echo(f"policy      {place.path / 'latest' / 'policy.onnx'}", place.out)
     return place.end(summary, stop)
+
+
+def prepare(configuration: Configuration, out: TextIO) -> tuple[Described | None, Stop]:
+    """Look at the environment and load what an update calls; ``None`` if that was interrupted."""
+    run = configuration.run
+    _prepare_process(run)
+    with stop_on_signals() as stop:
+        described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
+        if described is not None:
+            _compile(configuration.hyper, out)
+    return None if stop.interrupted else described, stop
 
 
 def _compile(hyper: Hyper, out: TextIO) -> None:

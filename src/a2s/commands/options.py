@@ -257,6 +257,10 @@ ReplayFrom = Annotated[str | None, option(
     _REPLAY, "--replay-from", metavar="RUN",
     help="Learn off-policy from this run's replay: a directory, or a run at --connect.",
 )]
+ReplayJournal = Annotated[str | None, option(
+    _REPLAY, "--replay-journal", metavar="DIR",
+    help="Learn again, without actors, what the run in this directory has in its journal.",
+)]
 Prior = Annotated[str | None, option(
     _REPLAY, "--prior", metavar="DIR", parser=_absolute,
     help="Learn off-policy from these transitions as well: of a2s replay import, or of a run.",

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 
 _NOT_OF_THE_RUN = (
-    "listen", "metrics_port", "metrics_host", "replay_from", "connect",
+    "listen", "metrics_port", "metrics_host", "replay_from", "replay_journal",
+    "connect",
     "episodes", "mode", "weights",
 )  # fmt: skip
 
@@ -34,6 +35,7 @@ def learner(
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = options.LOOPBACK,
     replay_from: options.ReplayFrom = None,
+    replay_journal: options.ReplayJournal = None,
     connect: options.ReplayConnect = DEFAULT_ENDPOINT,
     again: options.Again = None,
     json_: options.Json = False,
@@ -42,6 +44,13 @@ def learner(
     given = options.named(context, RUN)
     if replay_from:
         given["variant"] = given["variant"] or "off-policy"
+    if replay_journal:
+        if resume or replay_from or config:
+            raise UsageError(
+                "--replay-journal: found with --resume, --replay-from or --config, expected alone; "
+                "leave them out"
+            )
+        config = Path(replay_journal) / "config.toml"
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
@@ -55,7 +64,11 @@ def learner(
         as_json=json_,
         again=again or again_by(context, path),
     )
-    if replay_from is None:
+    if replay_journal:
+        from a2s.commands.repeat import repeat
+
+        code = repeat(configuration, place, Path(replay_journal))
+    elif replay_from is None:
         code = learn(configuration, place, listen)
     else:
         code = learn_from(configuration, place, replay_from, env=given["env"], connect=connect)
