@@ -21,6 +21,7 @@ from a2s.actors.weights_client import WeightsClient
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError
+from a2s.protocol.generations import start_of
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 from a2s.protocol.transport import Bus
@@ -211,7 +212,8 @@ class Actor:
             self._metrics.joins.inc()
             logger.info(
                 "joined run=%s generation=%d slot=%d env=%s envs=%d",
-                welcome.run, welcome.generation, welcome.slot, hello.env_id, hello.num_envs,
+                welcome.run, start_of(welcome.generation), welcome.slot, hello.env_id,
+                hello.num_envs,
             )  # fmt: skip
         return welcome
 

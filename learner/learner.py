@@ -26,6 +26,7 @@ from a2s.learner.run.tensorboard import Board
 from a2s.learner.trainer import Outcome, Saved, Trainer
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.fields import Spaces
+from a2s.protocol.generations import numbered, start_of
 from a2s.protocol.messages import RecoveryEvent
 
 _EVALUATION_WAIT_S = 1.0
@@ -35,6 +36,7 @@ _EVALUATIONS = "evaluations by `a2s actor --evaluate`"
 class Learner:
     """One learner of one run; `make.make_learner` and `make.make_replay_learner` make it.
 
+    ``mark`` makes its generation unique: 32 random bits, on which nothing depends that is learned.
     ``connect`` makes the feed of a generation and is given the handler of events; ``evaluations``
     are the feed's. ``past`` gives the batches since the checkpoint, from the ``journal``.
     ``env_steps`` are those of earlier starts. ``kind`` names the kind of run; checkpoints of
@@ -50,6 +52,7 @@ class Learner:
         *,
         run: RunConfig,
         trainer: Trainer,
+        mark: int,
         connect: Callable[[int, Callable[..., None]], Feed],
         evaluations: Evaluations,
         past: Feed | None = None,
@@ -75,7 +78,7 @@ class Learner:
         self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
         self._board = Board(path, run.variant) if run.tensorboard else None
         self._evaluating = Evaluating(evaluations, directory, metrics, status)
-        status.generation = directory.count_start()
+        status.generation = numbered(directory.count_start(), mark)
         status.env_steps = status.steps_at_start = env_steps
         self._feed, self._past = connect(status.generation, directory.event), past
         self._overlaps = trainer.overlaps_learning and clock_of(run.clock).waits_for_weights
@@ -191,7 +194,8 @@ class Learner:
             restored_version=outcome.restored_version,
             weights_version=status.networks_version,
         )
-        self._directory.event("recovery", **asdict(event))
+        told = asdict(event) | {"generation": start_of(status.generation)}
+        self._directory.event("recovery", **told)
         self._feed.announce_recovery(event)
         self._metrics.recoveries.inc()
         if self._overlaps and not status.is_finished:
@@ -249,8 +253,9 @@ class Learner:
     def _start(self) -> None:
         status = self._status
         self._metrics.target_steps.set(status.run.total_steps)
-        self._metrics.generation.set(status.generation)
-        self._directory.event("start", generation=status.generation, env_steps=status.env_steps)
+        start = start_of(status.generation)
+        self._metrics.generation.set(start)
+        self._directory.event("start", generation=start, env_steps=status.env_steps)
 
     def _open(self) -> None:
         """Have actors come in, and play."""

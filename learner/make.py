@@ -48,12 +48,13 @@ def make_learner(
     metrics: LearnerMetrics,
     view: View,
     resume: bool,
+    mark: int,
 ) -> Learner:
     """Make the learner of a run with actors.
 
     Actors find it on ``bus``, which is closed at the end. ``layout`` has names and sizes of the
     parts of an observation, in the order of its numbers. With ``resume`` it goes on with the newest
-    checkpoint in ``path``.
+    checkpoint in ``path``. ``mark`` is of 32 random bits, which tell it from other learners.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or resumed.
@@ -83,6 +84,7 @@ def make_learner(
     return Learner(
         run=run,
         trainer=trainer,
+        mark=mark,
         connect=partial(
             _connect,
             run,
@@ -163,6 +165,7 @@ def make_replay_learner(
     return Learner(
         run=run,
         trainer=trainer,
+        mark=0,  # nobody joins it
         connect=lambda *_: feed,
         evaluations=Evaluations(),
         env_steps=feed.env_steps(updates),

@@ -26,7 +26,7 @@ class EvaluationRequest:
 class EvaluationTask:
     """Weights to be evaluated; the graph's metadata say in which environment."""
 
-    generation: int  # start of the learner
+    generation: int  # of the learner
     number: int  # counts the evaluations of that learner from 1
     env_steps: int  # of the run, when it had these weights
     weights_version: int

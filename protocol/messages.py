@@ -64,7 +64,7 @@ class Welcome:
     """The learner's answer to a hello: the run, and the actor's part in it."""
 
     run: str
-    generation: int  # counts the starts of the learner from 1
+    generation: int  # of the learner; see generations.py
     env_id: str
     spaces: Spaces
     num_envs: int  # unless the actor was told otherwise
@@ -192,7 +192,7 @@ class Ack:
 class Notice:
     """Which weights are the newest, and how much to play with them."""
 
-    generation: int  # start of the learner that published them
+    generation: int  # of the learner that published them
     epoch: int  # counts recoveries
     version: int  # counts published weights
     quota_steps: int  # per environment in lockstep; the longest segment in async

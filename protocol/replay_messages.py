@@ -16,7 +16,7 @@ class ReplayInfo:
     """What a served replay holds now: rows ``begin`` to ``end`` can be sampled."""
 
     run: str
-    generation: int  # start of the learner that serves it
+    generation: int  # of the learner that serves it
     env_id: str
     spaces: Spaces
     capacity: int  # transitions

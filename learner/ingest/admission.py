@@ -6,6 +6,7 @@ import numpy as np
 
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.fields import Spaces
+from a2s.protocol.generations import start_of
 from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 
 
@@ -13,7 +14,7 @@ from a2s.protocol.messages import Hello, Notice, Segment, Welcome
 class Admission:
     """Judges hellos and segments.
 
-    ``generation`` counts the learner's starts. ``max_policy_lag`` is how many versions a segment
+    ``generation`` is that of the learner, ``max_policy_lag`` is how many versions a segment
     may be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
     """
 
@@ -26,7 +27,8 @@ class Admission:
     @property
     def seed_before_joining(self) -> int:
         """Seed for randomness while environments are made: the same for all actors."""
-        return int(np.random.SeedSequence((self.run.seed, self.generation)).generate_state(1)[0])
+        key = (self.run.seed, start_of(self.generation))
+        return int(np.random.SeedSequence(key).generate_state(1)[0])
 
     def welcome(self, slot: int, seed: int) -> Welcome:
         """Answer a hello; ``slot`` is -1 for an actor that has only asked."""
@@ -65,10 +67,15 @@ class Admission:
         return ""
 
     def too_old(self, segment: Segment, newest: Notice) -> str:
-        """Why a segment is stale, or ``""``."""
+        """Why a segment of this generation is stale, or ``""``."""
         if segment.epoch != newest.epoch:
             return f"epoch {segment.epoch}, this is {newest.epoch}"
         lag, allowed = newest.version - segment.weights_version, self.max_policy_lag
         if allowed is not None and lag > allowed:
             return f"{lag} versions behind, at most {allowed}"
         return ""
+
+    def other_generation(self, segment: Segment) -> str:
+        """Whose a segment is that was made for another learner, or for an earlier start."""
+        found, mine = start_of(segment.generation), start_of(self.generation)
+        return f"generation {found}{f', this is {mine}' if found != mine else ' of another run'}"

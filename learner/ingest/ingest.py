@@ -241,7 +241,7 @@ class Ingest:
     def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
         admission, played = self._admission, self._round
         if segment.generation != admission.generation or member is None:
-            return "stale", "", f"generation {segment.generation}, this is {admission.generation}"
+            return "stale", "", admission.other_generation(segment)
         if misfit := admission.misfit(segment, member.num_envs):
             return "refused", "spaces", misfit
         if played is None or not 1 <= segment.weights_version <= played.notice.version:

@@ -5,6 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from a2s.protocol.generations import start_of
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Segment
 
 SILENT_S = 30.0
@@ -91,7 +92,7 @@ class Members:
 
     def __init__(self, seed: int, generation: int) -> None:
         self._seed = seed
-        self._generation = generation
+        self._start = start_of(generation)
         self._present: dict[str, Member] = {}
         self._away: dict[str, Member] = {}
         self._joins: dict[int, int] = {}
@@ -121,7 +122,7 @@ class Members:
 
         Returns:
             The member, and the seed of its environments and noise: the same for the same seed of
-            the run, generation, place, and number of earlier holders of the place.
+            the run, start of the learner, place, and number of earlier holders of the place.
         """
         actor, num_envs = hello.actor, hello.num_envs
         member = self._present.get(actor)
@@ -137,7 +138,7 @@ class Members:
             self._present[actor] = member
             self._newcomers.pop(actor, None)
             self._joins[slot] = self._joins.get(slot, 0) + 1
-        key = (self._seed, self._generation, member.slot, self._joins[member.slot])
+        key = (self._seed, self._start, member.slot, self._joins[member.slot])
         return member, int(np.random.SeedSequence(key).generate_state(1)[0])
 
     def leave(self, actor: str) -> Member | None:

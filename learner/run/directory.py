@@ -14,6 +14,7 @@ from typing import IO, Any, NamedTuple
 from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table
 from a2s.learner.run.writing import open_lines, write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.generations import MAX_STARTS
 
 EPISODE_COLUMNS = (
     "wall_s",
@@ -138,7 +139,7 @@ class RunDirectory:
     gives seconds since the run began, those before a resume included.
 
     Raises:
-        RunDirectoryError: It cannot be written, or ``generation`` is not an integer.
+        RunDirectoryError: It cannot be written, or ``generation`` is not a number of starts.
     """
 
     def __init__(
@@ -304,12 +305,15 @@ def _reading(table: Path) -> Iterator[IO[str]]:
 
 def _read_starts(path: Path) -> int:
     try:
-        return int(path.read_text()) if path.exists() else 0
+        starts = int(path.read_text()) if path.exists() else 0
+        if not 0 <= starts < MAX_STARTS:
+            raise ValueError
     except ValueError:
         raise RunDirectoryError(
             f"{path}: found {path.read_text(errors='replace')!r}, expected how often the run was "
             "started; write that number there"
         ) from None
+    return starts
 
 
 def _short(value: object) -> object:

@@ -31,7 +31,7 @@ class Status:
 
     Attributes:
         episodes: Finished ones.
-        generation: Number of this start of the learner.
+        generation: Of this start of the learner, as on the wire.
         env_steps: Environment steps learned from, those of earlier starts included.
         steps_at_start: The same, when this learner started.
         updates: Batches learned from; off-policy gradient steps.

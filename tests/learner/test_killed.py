@@ -73,9 +73,9 @@ def _require_equal(path: Path, found: dict[str, Any], before: Path, wanted: dict
 def test_kill_and_resume_equal_no_kill(
     way: str, kills: str, tmp_path: Path, undisturbed: Undisturbed
 ) -> None:
-    """Whatever the moment, and however often."""
+    """Whatever the moment, however often, and whatever tells the learners from others."""
     path, (options, settings) = tmp_path / "run", WAYS[way]
-    found = Script(path, options, settings, kill_at=KILLS[kills]).run()
+    found = Script(path, options, settings, kill_at=KILLS[kills], mark=7).run()
     _require_equal(path, found, *undisturbed[way])
 
 

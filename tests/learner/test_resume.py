@@ -29,6 +29,7 @@ def _learner(path: Path, *, resume: bool) -> Learner:
         metrics=LearnerMetrics(),
         view=PlainView(io.StringIO()),
         resume=resume,
+        mark=0,
     )
 
 
@@ -40,6 +41,7 @@ def _files(path: Path) -> dict[Path, bytes]:
     ("name", "text", "said"),
     [
         ("generation", "two", "generation: found 'two', expected how often the run was started"),
+        ("generation", "9999999999", "generation: found '9999999999', expected how often"),
         ("episodes.csv", f"wall,steps\r\n{ROW}", r"episodes.csv line 1: found .*, expected wall_s"),
         (
             "episodes.csv",

@@ -5,6 +5,7 @@ What a kill leaves is a copy of the files at that moment.
 """
 
 import io
+import itertools
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -90,7 +91,7 @@ class Script:
     """A run of two scripted actors; ``settings`` are of the run and of the algorithm.
 
     ``kill_at`` are numbers of segments before which the learner is killed; then ``on_kill`` may
-    change what is left.
+    change what is left. The marks of its learners are ``mark`` and those after it.
     """
 
     def __init__(
@@ -102,10 +103,11 @@ class Script:
         kill_at: tuple[int, ...] = (),
         on_kill: Callable[[Path], None] = lambda _: None,
         actors: int = 2,
+        mark: int = 0,
     ) -> None:
         self._path, self._options, self._settings = path, options, settings
         self._kill_at, self._sent, self._left = kill_at, 0, path.with_name("left")
-        self._on_kill = on_kill
+        self._on_kill, self._marks = on_kill, itertools.count(mark)
         self._actors = [ScriptedActor(slot, self._before_send) for slot in range(actors)]
 
     def run(self) -> dict[str, Any]:
@@ -141,5 +143,6 @@ class Script:
             metrics=LearnerMetrics(),
             view=PlainView(io.StringIO()),
             resume=resume,
+            mark=next(self._marks),
         )
         return learner.run(lambda: False)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import secrets
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -41,6 +42,7 @@ from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
 from a2s.learner.run.writing import write_atomically
 from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.generations import MARK_BITS
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -145,6 +147,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
                     metrics=metrics,
                     view=view,
                     resume=place.resume,
+                    mark=secrets.randbits(MARK_BITS),
                 )
             except A2SError:
                 run_directory.remove_traces(place.path)

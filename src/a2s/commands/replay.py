@@ -14,6 +14,7 @@ from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.config import read
 from a2s.learner.run.directory import CONFIG
 from a2s.protocol.errors import UsageError
+from a2s.protocol.generations import start_of
 from a2s.protocol.keys import Keys
 from a2s.protocol.replay_messages import COLUMNS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -38,7 +39,7 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
     with _served(connect, run) as served:
         told = served.info()
     found = _describe(told, told.begin, told.end)
-    return {**found, "run": told.run, "generation": told.generation}
+    return {**found, "run": told.run, "generation": start_of(told.generation)}
 
 
 def sample(

@@ -18,6 +18,7 @@ from a2s.learner.run import directory as run_directory
 from a2s.learner.run.run_config import COUNTED
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import UnreachableError
+from a2s.protocol.generations import start_of
 from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import ActorStatus, RunStatus
 from a2s.protocol.transport import Bus
@@ -129,5 +130,6 @@ def ask(bus: Bus, keys: Keys) -> RunStatus | None:
 
 def _as_json(told: RunStatus) -> dict[str, Any]:
     found: dict[str, Any] = asdict(told)
+    found["generation"] = start_of(told.generation)
     found["return_mean"] = None if math.isnan(told.return_mean) else told.return_mean
     return found

@@ -21,6 +21,7 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
+from a2s.protocol.generations import numbered
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 
 SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
@@ -41,6 +42,7 @@ class _Run:
         *,
         max_policy_lag: int | None = 1,
         left: Sequence[Stored] = (),
+        generation: int = 2,
         **options: Any,
     ) -> None:
         self.events: list[tuple[str, dict[str, object]]] = []
@@ -49,7 +51,7 @@ class _Run:
         self.journal = Journal(path / "journal", self.ledger.accepted_steps)
         run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
         self.ingest = Ingest(
-            Admission(run, SPACES, 2, max_policy_lag, 1.001),
+            Admission(run, SPACES, generation, max_policy_lag, 1.001),
             self.ledger,
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
@@ -135,6 +137,25 @@ def test_every_segment_is_judged_with_a_reason(
     ack = run.ingest.segment(_segment(**fields))
     assert (ack.verdict, ack.reason, ack.generation) == (verdict, reason, 2)
     assert run.complete() is (fields == {})
+
+
+def test_another_learner_with_the_same_name_and_number_of_starts_gets_nothing(
+    tmp_path: Path, make_notice: MakeNotice
+) -> None:
+    """Its seeds are the same all the same: the mark of a learner decides nothing."""
+    runs = []
+    for mark in (7, 8):
+        path = tmp_path / str(mark)
+        path.mkdir()
+        runs.append(_Run(path, generation=numbered(1, mark)))
+        notice = make_notice(generation=numbered(1, mark), version=5, quota_steps=4)
+        runs[-1].ingest.begin(notice, QUOTA, 1)
+    first, other = (run.join("a") for run in runs)
+    assert first.generation != other.generation
+    assert first.seed == other.seed
+    ack = runs[1].ingest.segment(_segment(generation=first.generation))
+    assert (ack.verdict, ack.reason) == ("stale", "generation 1 of another run")
+    assert runs[1].kept == []
 
 
 def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_not_matter(
