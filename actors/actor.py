@@ -177,7 +177,8 @@ class Actor:
                     # A segment that waits long was made with outdated weights.
                     quota_steps = self._notice.quota_steps * len(environments)
                     self._outbox.narrow(_QUOTAS_IN_OUTBOX * quota_steps)
-            if suggester is not None and self._notice is not None:
+            is_new = self._notice is not known  # otherwise its quota has been played
+            if suggester is not None and self._notice is not None and is_new:
                 self._send(suggester, self._notice, self._rollout)
 
     def _send(self, suggester: Suggester, notice: Notice, rollout: Rollout) -> None:
@@ -245,7 +246,10 @@ class Actor:
         if weights is None:
             self._stopped.wait(_ASK_AGAIN_S)
             return None
-        before, self._notice = self._notice, weights.notice
+        before = self._notice
+        if before is not None and before.identity == weights.notice.identity:
+            return None
+        self._notice = weights.notice
         if before is not None and weights.notice.epoch > before.epoch:
             self._metrics.recoveries.inc(weights.notice.epoch - before.epoch)
         self._metrics.weights_version.set(weights.notice.version)

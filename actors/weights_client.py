@@ -20,6 +20,9 @@ class WeightsClient:
     An announcement can be lost, so a waiting actor also asks, once a second. An announcement
     older than the known notice came late and is ignored. An answer is always taken: if it is older,
     it comes from another learner, which does not know what the one before had published.
+
+    Anybody can announce. That the learner has restarted or recovered is believed only when it says
+    so itself; other announcements are tried by fetching the weights.
     """
 
     def __init__(self, bus: Bus, keys: Keys) -> None:
@@ -27,8 +30,10 @@ class WeightsClient:
         self._keys = keys
         self._changed = threading.Condition()
         self._notice: Notice | None = None
+        self._is_answer = False  # the notice is what the learner has answered
+        self._generation: int | None = None  # of its latest answer
         self._asking = True
-        bus.subscribe(keys.notice, lambda payload: self._take(decode(payload, Notice)))
+        bus.subscribe(keys.notice, lambda payload: self._hear_of(decode(payload, Notice)))
 
     def hear(self, ack: Ack) -> None:
         """Request the notice if an acknowledgement names other weights."""
@@ -41,14 +46,22 @@ class WeightsClient:
     def forget(self) -> None:
         """Forget the notice, and request it."""
         with self._changed:
-            self._notice, self._asking = None, True
+            self._notice, self._is_answer, self._asking = None, False, True
 
     def overrules(self, notice: Notice) -> bool:
-        """Whether the learner has recovered or restarted since these weights."""
-        known = self._notice
-        return known is not None and (
-            (known.generation, known.epoch) > (notice.generation, notice.epoch)
-        )
+        """Whether the learner has recovered or restarted since these weights.
+
+        If somebody has announced that, the learner is asked; without its word it is forgotten.
+        """
+        with self._changed:
+            known, is_answer = self._notice, self._is_answer
+        if known is None or ((known.generation, known.epoch) <= (notice.generation, notice.epoch)):
+            return False
+        if not is_answer and (known := self._ask()) is None:
+            with self._changed:
+                self._notice, self._asking = notice, True
+            return False
+        return known.generation != notice.generation or known.epoch > notice.epoch
 
     def other_than(self, notice: Notice | None, proceed: Callable[[], bool]) -> Notice | None:
         """Wait for weights other than these (``None``: for any); give their notice.
@@ -62,8 +75,9 @@ class WeightsClient:
             if asking:
                 self._ask()
             with self._changed:
-                if self._notice is not None and self._notice.identity != known:
-                    return self._notice
+                found = self._notice
+                if found is not None and found.identity != known and self._is_credible(found):
+                    return found
                 if not self._asking and not self._changed.wait(timeout=_ASK_EVERY_S):
                     self._asking = True
         return None
@@ -80,19 +94,35 @@ class WeightsClient:
             return None
         if hashlib.sha256(weights.graph).hexdigest() != weights.notice.sha256:
             return None
-        self._take(weights.notice, known)
+        self._believe(weights.notice, known)
         return weights
 
-    def _ask(self) -> None:
+    def _ask(self) -> Notice | None:
         known = self._notice
         reply = self._bus.ask(self._keys.notice, b"", _ASK_TIMEOUT_S)
-        if reply:
-            self._take(decode(reply, Notice), known)
+        if not reply:
+            return None
+        answer = decode(reply, Notice)
+        self._believe(answer, known)
+        return answer
 
-    def _take(self, notice: Notice, overruled: Notice | None = None) -> None:
-        """Keep a notice that is newer than the known one, or answers in its place."""
+    def _hear_of(self, notice: Notice) -> None:
+        """Keep a notice that is newer than the known one."""
         with self._changed:
             known = self._notice
-            if known is None or known is overruled or notice.identity > known.identity:
-                self._notice = notice
+            if known is None or notice.identity > known.identity:
+                self._notice, self._is_answer = notice, False
+                self._asking |= not self._is_credible(notice)
                 self._changed.notify_all()
+
+    def _believe(self, answer: Notice, known: Notice | None) -> None:
+        """Keep an answer, unless something newer was heard of since the question."""
+        with self._changed:
+            self._generation = answer.generation
+            newest = self._notice
+            if newest is known or newest is None or answer.identity > newest.identity:
+                self._notice, self._is_answer = answer, True
+                self._changed.notify_all()
+
+    def _is_credible(self, notice: Notice) -> bool:
+        return self._is_answer or notice.generation == self._generation

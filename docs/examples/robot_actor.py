@@ -71,7 +71,7 @@ class Actor:
         self._prefix, self._name = f"a2s/2/{run}", f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"
         self._heard = threading.Condition()
         self._newest = (0, 0)  # generation and version of the newest notice that was heard
-        self._overrule = (0, 0)  # generation and epoch of the same, or of an Ack
+        self._claim = (0, 0)  # generation and epoch of the same, or of an Ack, until it was asked
         self._session = self._open(endpoint)  # [1]
         live, notice = f"{self._prefix}/live/actor/{self._name}", f"{self._prefix}/notice"
         self._token = self._session.liveliness().declare_token(live)  # [2]
@@ -103,7 +103,7 @@ class Actor:
         notice = msgpack.unpackb(bytes(sample.payload))
         with self._heard:
             self._newest = max(self._newest, _identity(notice))
-            self._overrule = max(self._overrule, (notice["generation"], notice["epoch"]))
+            self._claim = max(self._claim, (notice["generation"], notice["epoch"]))
             self._heard.notify_all()
 
     def _ask(self, key: str, message: bytes = b"", timeout_s: float = 5.0) -> Message | None:
@@ -132,7 +132,7 @@ class Actor:
         self._welcome = self._hello(num_envs=1, env_id=self._env_id, spaces=spaces)
         self._rng = np.random.default_rng(self._welcome["seed"] if self._welcome else 0)
         with self._heard:
-            self._newest = self._overrule = (0, 0)
+            self._newest = self._claim = (0, 0)
 
     def run(self) -> None:
         """Play until ended."""
@@ -161,14 +161,15 @@ class Actor:
         while not self.ended.is_set() and self._welcome is not None:
             waits = self._welcome["clock"] == "lockstep"
             if policy is None or waits or self._newest > _identity(policy.notice):
-                policy = self._fetch(policy) or policy
+                policy = self._fetch(policy, waits=waits) or policy
             if policy is not None:
                 self._play(policy)
 
-    def _fetch(self, last: Policy | None) -> Policy | None:
-        """Wait for weights that are not the last, and fetch them."""
+    def _fetch(self, last: Policy | None, *, waits: bool) -> Policy | None:
+        """Fetch weights that are not the last; wait for them, if need be."""
         played = _identity(last.notice) if last else (0, 0)
         while not self.ended.is_set():
+            self._newest = (0, 0)  # what was put before is forgotten: the learner's answer counts
             notice = self._ask("notice")
             if notice is not None and _identity(notice) != played:
                 is_mine = self._welcome and notice["generation"] == self._welcome["generation"]
@@ -179,6 +180,8 @@ class Actor:
                     found = weights["notice"]
                     self._status |= {"weights_version": found["version"], "epoch": found["epoch"]}
                     return Policy(found, weights["graph"])
+            if last and not waits:
+                return last
             with self._heard:  # [10]
                 self._heard.wait_for(lambda: self._newest > played, timeout=1.0)
         return None
@@ -199,7 +202,7 @@ class Actor:
         notice, steps, episodes, useless = policy.notice, 0, 0, 0
         whole = notice["quota_episodes"]
         while not self.ended.is_set():
-            if self._overrule > (notice["generation"], notice["epoch"]):
+            if self._is_overruled(notice):
                 break
             is_over = self._step(policy)
             useless = useless + 1 if is_over is None else 0
@@ -209,6 +212,15 @@ class Actor:
             if steps >= notice["quota_steps"] and (not whole or (is_over and episodes >= whole)):
                 break
         self._send(policy, terminated=False, truncated=False)
+
+    def _is_overruled(self, notice: Message) -> bool:
+        """Whether the learner has recovered or restarted, and says so itself when asked."""
+        with self._heard:
+            claim, self._claim = self._claim, (0, 0)
+        if claim <= (notice["generation"], notice["epoch"]):
+            return False
+        found = self._ask("notice") or notice
+        return bool(found["generation"] != notice["generation"] or found["epoch"] > notice["epoch"])
 
     def _step(self, policy: Policy) -> bool | None:
         """Make a step: whether it ended the episode; ``None`` if it had to be dropped."""
@@ -255,7 +267,7 @@ class Actor:
             ack = self._ask("segment", payload, 3.0)
             if ack is not None and ack["verdict"] != "unknown":
                 with self._heard:
-                    self._overrule = max(self._overrule, (ack["generation"], ack["epoch"]))
+                    self._claim = max(self._claim, (ack["generation"], ack["epoch"]))
                 self._status["segments_answered"] += 1
                 self._status["spooled_steps"] = 0
                 self.ended.wait(ack["wait_s"])

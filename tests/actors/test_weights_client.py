@@ -101,8 +101,43 @@ def test_an_acknowledgement_of_other_weights_has_them_asked_for(
 def test_what_is_forgotten_is_asked_for(
     client: WeightsClient, learner: _Learner, make_notice: MakeNotice
 ) -> None:
-    """A notice of no learner is gone then."""
-    learner.announce(make_notice(generation=999, version=1))
-    assert _see(client, None) == (999, 1)
+    learner.announce(make_notice(generation=2, version=99))
     client.forget()
     assert _see(client, None) == (2, 15)
+
+
+def test_only_the_learner_itself_can_say_that_it_is_another(
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice
+) -> None:
+    announced = make_notice(generation=999, version=1)
+    learner.announce(announced)
+    assert _see(client, None) == (2, 15)
+    learner.announce(announced)
+    learner.asked = repeat(announced)
+    assert _see(client, None) == (999, 1)
+
+
+@pytest.mark.parametrize("claim", [(2, 1), (3, 0)])
+def test_only_the_learner_itself_interrupts(
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice, claim: tuple[int, int]
+) -> None:
+    """What it does not confirm is forgotten, also while it does not answer."""
+    playing = make_notice(generation=2, version=15)
+    claimed = make_notice(generation=claim[0], epoch=claim[1], version=16)
+    questions = 0
+
+    def count() -> None:
+        nonlocal questions
+        questions += 1
+
+    learner.meanwhile = count
+    learner.announce(claimed)
+    assert [client.overrules(playing) for _ in range(9)] == [False] * 9
+    assert questions == 1
+    learner.asked = iter(())  # no answer
+    learner.announce(claimed)
+    assert not client.overrules(playing)
+    learner.asked = repeat(claimed)
+    assert not client.overrules(playing)
+    learner.announce(claimed)
+    assert client.overrules(playing)
