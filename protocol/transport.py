@@ -7,7 +7,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-Answer = Callable[[bytes], bytes]
+Answer = Callable[[bytes], bytes | None]
 OnMessage = Callable[[bytes], None]
 OnPresence = Callable[[str, bool], None]
 
@@ -28,7 +28,7 @@ class Bus(Protocol):
         ...
 
     def answer(self, key: str, handler: Answer) -> None:
-        """Answer the questions to ``key`` from now on."""
+        """Answer the questions to ``key`` from now on; ``None`` is no answer."""
         ...
 
     def publish(self, key: str, payload: bytes) -> None:

@@ -124,7 +124,9 @@ class ZenohBus:
         def on_query(query: zenoh.Query) -> None:
             with query, _logged(key):
                 payload = b"" if query.payload is None else bytes(query.payload)
-                query.reply(query.key_expr, handler(payload))
+                answer = handler(payload)
+                if answer is not None:
+                    query.reply(query.key_expr, answer)
 
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 

@@ -4,6 +4,7 @@ import threading
 from collections import deque
 from typing import NamedTuple
 
+from a2s.learner.ingest.members import MAX_SEEN
 from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.evaluation_messages import EvaluationRequest, EvaluationResult, EvaluationTask
 
@@ -86,7 +87,8 @@ class Evaluations:
     def here(self, name: str) -> None:
         """An evaluator, or somebody else, can be seen."""
         with self._changed:
-            self._seen.add(name)
+            if len(self._seen) < MAX_SEEN:
+                self._seen.add(name)
 
     def gone(self, evaluator: str) -> None:
         """An evaluator has left, or somebody else."""

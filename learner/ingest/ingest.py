@@ -64,8 +64,8 @@ class Ingest:
         self._failure: RunDirectoryError | None = None
         metrics.env_steps.inc(ledger.accepted_steps)  # of earlier starts
 
-    def hello(self, hello: Hello) -> Welcome | Refusal:
-        """Answer a hello; one with spaces joins."""
+    def hello(self, hello: Hello) -> Welcome | Refusal | None:
+        """Answer a hello; one with spaces joins. ``None``: its token has to be seen first."""
         admission = self._admission
         if hello.spaces is None:
             with self._changed:
@@ -74,6 +74,12 @@ class Ingest:
         if difference := admission.difference(hello):
             return self.refuse("hello", "environment", difference)
         with self._changed:
+            if not self._members.has_token(hello.actor):
+                self._metrics.refused.labels(message="hello", reason="no_token").inc()
+                self._members.coming(hello.actor, time.monotonic(), "joins without its token")
+                return None
+            if reason := self._members.no_room_for(hello):
+                return self.refuse("hello", "full", reason)
             is_new = self._members.find(hello.actor) is None
             member, seed = self._members.join(hello, time.monotonic())
             if is_new:
@@ -139,9 +145,15 @@ class Ingest:
             if status.leaving:
                 self._leave(status.actor, "clean")
 
+    def here(self, actor: str) -> None:
+        """An actor can be seen, or somebody else."""
+        with self._changed:
+            self._members.here(actor)
+
     def gone(self, actor: str) -> None:
         """An actor's connection has ended."""
         with self._changed:
+            self._members.gone(actor)
             self._leave(actor, "lost")
 
     def quota(self, version: int, epoch: int) -> tuple[int, Quota]:
@@ -208,11 +220,11 @@ class Ingest:
 
     @property
     def num_envs(self) -> int:
-        """Environments of all actors present, or of those that are expected first."""
+        """Environments of all actors that are heard, or of those that are expected first."""
         with self._changed:
             run = self._admission.run
             expected = 0 if self._has_begun else run.n * run.envs
-            return max(1, expected, self._members.num_envs)
+            return max(1, expected, self._members.num_envs(time.monotonic()))
 
     def attendance(self) -> Attendance:
         """Give the actors present, and the fate of their segments."""
@@ -309,7 +321,7 @@ class Ingest:
             return f"{wanted - len(present)} more of {wanted} actors: {self._coming(now_s)}"
         if self._clock.is_filled(self._round):
             return ""
-        heard = [member for member in present if now_s - member.heard_s < SILENT_S]
+        heard = self._members.heard(now_s)
         if not heard:
             silent = f"none of {len(present)} was heard for {SILENT_S:.0f} s"
             return f"actors: {silent if present else 'none is present'}, {self._coming(now_s)}"

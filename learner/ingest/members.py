@@ -9,6 +9,8 @@ from a2s.protocol.generations import start_of
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Segment
 
 SILENT_S = 30.0
+MAX_SEEN = 1 << 16  # tokens
+_MAX_MEMBERS, _MAX_ENVS = 4096, 1 << 16
 _MAX_AWAY = 256
 _MAX_REMEMBERED = 4096
 
@@ -97,6 +99,7 @@ class Members:
         self._away: dict[str, Member] = {}
         self._joins: dict[int, int] = {}
         self._newcomers: dict[str, _Newcomer] = {}
+        self._seen: set[str] = set()
         self._dropped: dict[str, int] = {}
         self._dropped_before = 0
 
@@ -105,14 +108,43 @@ class Members:
         """Those present, by slot."""
         return sorted(self._present.values(), key=lambda member: member.slot)
 
-    @property
-    def num_envs(self) -> int:
-        """Environments of those present."""
-        return sum(member.num_envs for member in self._present.values())
+    def heard(self, now_s: float) -> list[Member]:
+        """Those present that were heard of lately, by slot."""
+        return [member for member in self.present if now_s - member.heard_s < SILENT_S]
+
+    def num_envs(self, now_s: float) -> int:
+        """Environments that a batch is shared among: of those heard, if any were."""
+        return sum(member.num_envs for member in self.heard(now_s) or self.present)
 
     def find(self, actor: str) -> Member | None:
         """Look up one that is present."""
         return self._present.get(actor)
+
+    def here(self, actor: str) -> None:
+        """The token of an actor, or of somebody else, is seen."""
+        if len(self._seen) < MAX_SEEN:
+            self._seen.add(actor)
+
+    def gone(self, actor: str) -> None:
+        """It is not seen any more."""
+        self._seen.discard(actor)
+
+    def has_token(self, actor: str) -> bool:
+        """Whether the token is seen by which the end of an actor would be noticed."""
+        return actor in self._seen
+
+    def no_room_for(self, hello: Hello) -> str:
+        """Why an actor with a token cannot be one more member, or ``""``."""
+        if hello.actor in self._present:
+            return ""
+        if len(self._present) >= _MAX_MEMBERS:
+            return f"the run has {_MAX_MEMBERS} actors, the most that it may have"
+        num_envs = sum(member.num_envs for member in self._present.values())
+        if num_envs + hello.num_envs > _MAX_ENVS:
+            return (
+                f"num_envs: found {hello.num_envs} beside {num_envs}, expected {_MAX_ENVS} in all"
+            )
+        return ""
 
     def join(self, hello: Hello, now_s: float) -> tuple[Member, int]:
         """Give an actor the place that it asks for, or else the lowest free one.

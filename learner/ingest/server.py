@@ -49,6 +49,7 @@ class Server(Feed):
     def open(self, status: Callable[[], RunStatus]) -> None:
         """Declare everything; the presence comes last, when all else can be answered."""
         bus, keys, self._status = self._bus, self._keys, status
+        bus.watch_presence(keys.live_actor(), self._on_presence)  # who joins has been seen
         bus.answer(keys.notice, lambda _: self._give_newest()[0])
         bus.answer(keys.weights, lambda _: self._give_newest()[1])
         bus.answer(keys.hello, self._on_hello)
@@ -58,7 +59,6 @@ class Server(Feed):
         bus.answer(keys.evaluation_result, self._on_evaluation_result)
         bus.answer(keys.status, lambda _: encode(status()))
         bus.subscribe(keys.actor_status(), self._on_actor_status)
-        bus.watch_presence(keys.live_actor(), self._on_presence)
         bus.declare_presence(keys.live_learner)
 
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
@@ -112,12 +112,13 @@ class Server(Feed):
         with self._lock:
             return self._newest
 
-    def _on_hello(self, payload: bytes) -> bytes:
+    def _on_hello(self, payload: bytes) -> bytes | None:
         try:
             hello = decode(payload, Hello)
         except MalformedMessageError as error:
             return encode(self._ingest.refuse("hello", _cause(error), str(error)))
-        return encode(self._ingest.hello(hello))
+        answer = self._ingest.hello(hello)
+        return None if answer is None else encode(answer)
 
     def _on_hello_of_major_1(self) -> bytes:
         self._ingest.refuse("hello", "schema", "an actor of protocol 1")
@@ -155,6 +156,7 @@ class Server(Feed):
     def _on_presence(self, key: str, present: bool) -> None:
         name = key.rsplit("/", 1)[-1]
         if present:
+            self._ingest.here(name)
             self._evaluations.here(name)
         else:
             self._ingest.gone(name)

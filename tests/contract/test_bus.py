@@ -142,6 +142,15 @@ def test_a_question_that_nobody_answers_is_none_at_once(learner: Bus, actor: Bus
     assert time.monotonic() - begin < 5.0
 
 
+def test_a_handler_may_give_no_answer(learner: Bus, actor: Bus) -> None:
+    """Who asked finds out at once, and asks again."""
+    answers = iter([None, b"now"])
+    learner.answer("a2s/r/hello", lambda _: next(answers))
+    settle(learner, actor)
+    assert actor.ask("a2s/r/hello", b"", timeout_s=30.0) is None
+    assert actor.ask("a2s/r/hello", b"", timeout_s=30.0) == b"now"
+
+
 def test_a_handler_that_raises_gives_no_answer_and_goes_on(
     learner: Bus, actor: Bus, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -47,6 +47,7 @@ class ScriptedActor:
         """Find a learner there, as soon as there is one."""
         self._bus, self._keys = InProcessBus(exchange), Keys("default")
         self._bus.subscribe(self._keys.notice, lambda payload: self._play(decode(payload, Notice)))
+        self._bus.declare_presence(self._keys.live_actor(f"actor-{self._slot}"))
         self._bus.watch_presence(self._keys.live_learner, lambda _, here: self._join(here))
 
     def _join(self, here: bool) -> None:

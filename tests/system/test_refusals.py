@@ -84,6 +84,9 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
         assert "found obs_size 3, expected 2" in refused(
             keys.hello, encode(Hello(actor="peer", num_envs=1, env_id=ENV, spaces=wide))
         )
+        assert bus.ask(keys.hello, hello, 20.0) is None  # nobody would see it leave
+        bus.declare_presence(keys.live_actor("peer"))
+        wait_for(lambda: bus.ask(keys.hello, hello, 20.0) is not None, "an answer")
         welcome = ask(keys.hello, hello)
         assert isinstance(welcome, Welcome)
         good = _segment(welcome)

@@ -82,6 +82,7 @@ class _Run:
         return 1.5 if self.is_far_behind or num_batches >= 1 else 0.0
 
     def join(self, actor: str, num_envs: int = 1, slot: int = -1) -> Welcome:
+        self.ingest.here(actor)
         hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES, slot=slot)
         welcome = self.ingest.hello(hello)
         assert isinstance(welcome, Welcome)
@@ -276,6 +277,54 @@ def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None
     second = run.join("c")
     assert (first.slot, other.slot, second.slot) == (0, 1, 0)
     assert first.seed != second.seed
+
+
+def test_who_cannot_be_seen_does_not_join(run: _Run) -> None:
+    """Nobody would see it leave; it is not answered, so it asks again until its token is there."""
+    hello = Hello(actor="a", num_envs=1, env_id="Test-v0", spaces=SPACES)
+    assert run.ingest.hello(hello) is None
+    waiting: list[str] = []
+
+    def once(missing: str) -> bool:
+        waiting.append(missing)
+        return False
+
+    run.ingest.next_batch(once)
+    assert waiting == ["1 more of 1 actors: a: joins without its token"]
+    run.ingest.here("a")
+    assert isinstance(run.ingest.hello(hello), Welcome)
+    run.ingest.gone("a")
+    assert run.ingest.hello(hello) is None
+    assert run.ingest.attendance().members == ()
+
+
+def test_members_that_are_silent_have_no_share_of_the_quota(run: _Run) -> None:
+    """Unless all are: then it was the learner that heard nothing."""
+    run.join("a")
+    for silent in "bcd":
+        run.join(silent, num_envs=100)
+    members = run.ingest.attendance().members
+    assert run.ingest.num_envs == 301
+    for member in members[1:]:
+        member.heard_s -= 31.0
+    assert run.ingest.num_envs == 1
+    members[0].heard_s -= 31.0
+    assert run.ingest.num_envs == 301
+    run.ingest.segment(_segment("d"))
+    assert run.ingest.num_envs == 100
+
+
+def test_a_run_has_at_most_so_many_environments(run: _Run) -> None:
+    for number in range(16):
+        run.join(f"a{number}", num_envs=4096)
+    run.ingest.here("b")
+    one_more = Hello(actor="b", num_envs=1, env_id="Test-v0", spaces=SPACES)
+    refusal = run.ingest.hello(one_more)
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason == "num_envs: found 1 beside 65536, expected 65536 in all"
+    assert run.join("a0", num_envs=4096).slot == 0  # a member is welcome again
+    run.ingest.gone("a0")
+    assert run.join("b").slot == 0
 
 
 def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
