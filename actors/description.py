@@ -26,10 +26,12 @@ class Description(NamedTuple):
     Attributes:
         spaces: As flat Boxes.
         layout: ``[name, size]`` of the parts of an observation, in the order of its numbers.
+        episode_limit: Steps after which Gymnasium truncates an episode; ``None``: never.
     """
 
     spaces: Spaces
     layout: list[tuple[str, int]]
+    episode_limit: int | None
 
 
 def describe(
@@ -54,7 +56,8 @@ def describe(
         for name, numbers in found["arrays"].items()
     }
     spaces = Spaces(obs_size=found["obs_size"], **arrays)
-    return Description(spaces, [(name, size) for name, size in found["layout"]])
+    layout = [(name, size) for name, size in found["layout"]]
+    return Description(spaces, layout, found["episode_limit"])
 
 
 def offset_of(obs: npt.NDArray[np.float64]) -> Array | None:
@@ -79,7 +82,7 @@ def _describe(parent: Parent) -> None:
         "obs_offset": None if offset is None else offset.tolist(),
     }
     result = {"obs_size": spaces.obs_size, "arrays": arrays, "layout": environment.layout}
-    parent.report({"result": result})
+    parent.report({"result": {**result, "episode_limit": environment.episode_limit}})
     environment.close()
 
 

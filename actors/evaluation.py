@@ -16,7 +16,6 @@ from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import MAX_SEED, seed_globals
 from a2s.actors.parent import Parent, answer
 from a2s.actors.rollout import (
-    ENDLESS_STEPS,
     MAX_USELESS_IN_A_ROW,
     is_usable,
     useless,
@@ -27,6 +26,7 @@ from a2s.actors.suggester import Choice, Mode, Suggester
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import MalformedMessageError, UsageError
 from a2s.protocol.fields import Array
+from a2s.protocol.messages import ENDLESS_STEPS
 
 logger = logging.getLogger(__name__)
 

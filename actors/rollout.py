@@ -14,13 +14,11 @@ from a2s.actors.troubles import Troubles
 from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import FaultyEnvironmentError, MalformedMessageError
 from a2s.protocol.fields import Array
-from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric, Notice, Segment
+from a2s.protocol.messages import ENDLESS_STEPS, MAX_PLAYED, EpisodeMetric, Notice, Segment
 
 MAX_USELESS_IN_A_ROW = 10
 _SEGMENT_BYTES = MAX_BYTES[Segment] - MIB  # the rest is for all but the rows
 _FLOAT_BYTES = 4
-# An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
-ENDLESS_STEPS = 10_000
 _NOTHING: Iterator[Segment] = iter(())
 
 

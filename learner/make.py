@@ -43,6 +43,7 @@ def make_learner(
     configuration: Configuration,
     spaces: Spaces,
     layout: Sequence[tuple[str, int]],
+    episode_limit: int | None,
     bus: Bus,
     path: Path,
     metrics: LearnerMetrics,
@@ -53,7 +54,8 @@ def make_learner(
     """Make the learner of a run with actors.
 
     Actors find it on ``bus``, which is closed at the end. ``layout`` has names and sizes of the
-    parts of an observation, in the order of its numbers. With ``resume`` it goes on with the newest
+    parts of an observation, in the order of its numbers; ``episode_limit`` is of the environment's
+    steps, if it has one. With ``resume`` it goes on with the newest
     checkpoint in ``path``. ``mark`` is of 32 random bits, which tell it from other learners.
 
     Raises:
@@ -89,6 +91,7 @@ def make_learner(
             _connect,
             run,
             spaces,
+            episode_limit,
             bus,
             ledger,
             journal,
@@ -233,6 +236,7 @@ def _off_policy(
 def _connect(
     run: RunConfig,
     spaces: Spaces,
+    episode_limit: int | None,
     bus: Bus,
     ledger: Ledger,
     journal: Journal,
@@ -245,7 +249,7 @@ def _connect(
 ) -> Server:
     """Make the feed that actors find on the bus; it answers once it is opened."""
     lag, suggestion = store.max_policy_lag, store.max_suggestion
-    admission = Admission(run, spaces, generation, lag, suggestion)
+    admission = Admission(run, spaces, generation, lag, suggestion, episode_limit or 0)
     ingest = Ingest(admission, ledger, metrics, on_event, store, journal, left_over)
     keys = Keys(run.run)
     if isinstance(store, OwnReplay):

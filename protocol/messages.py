@@ -31,6 +31,8 @@ Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]
 # Larger finite numbers have infinite sums and squares, and would end the learning as well.
 MAX_PLAYED = 1e10  # as in MuJoCo, which resets a simulation beyond it
 MAX_SUGGESTED = 1e6
+# An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
+ENDLESS_STEPS = 10_000
 _MAX_SLOT = 999_999
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from a2s.learner.ingest.store import Quota
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.generations import start_of
-from a2s.protocol.messages import Hello, Notice, Segment, Welcome
+from a2s.protocol.messages import ENDLESS_STEPS, Hello, Notice, Segment, Welcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +17,7 @@ class Admission:
 
     ``generation`` is that of the learner, ``max_policy_lag`` is how many versions a segment
     may be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
+    ``episode_limit`` is in steps, 0: the environment has none.
     """
 
     run: RunConfig
@@ -23,6 +25,7 @@ class Admission:
     generation: int
     max_policy_lag: int | None
     max_suggestion: float
+    episode_limit: int
 
     @property
     def seed_before_joining(self) -> int:
@@ -65,6 +68,11 @@ class Admission:
         if largest > self.max_suggestion:
             return f"found suggestion {largest:g}, expected at most {self.max_suggestion:g} in size"
         return ""
+
+    def longest(self, quota: Quota) -> int:
+        """The most steps that a segment may have, of those who play this quota."""
+        whole = max(self.episode_limit, ENDLESS_STEPS) if quota.episodes else 0
+        return max(quota.steps, whole)
 
     def too_old(self, segment: Segment, newest: Notice) -> str:
         """Why a segment of this generation is stale, or ``""``."""

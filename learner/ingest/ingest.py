@@ -60,6 +60,7 @@ class Ingest:
         self._members = Members(admission.run.seed, admission.generation)
         self._changed = threading.Condition()
         self._round: Round | None = None
+        self._longest = 0  # segment of all that the quotas so far allow
         self._has_begun = False
         self._failure: RunDirectoryError | None = None
         metrics.env_steps.inc(ledger.accepted_steps)  # of earlier starts
@@ -175,6 +176,7 @@ class Ingest:
             RunDirectoryError: It cannot be written down.
         """
         with self._changed:
+            self._longest = max(self._longest, self._admission.longest(quota))
             self._journal.begin(Begun(notice.version, notice.epoch, num_envs, quota))
             before = self._round or self._left_over
             arrivals = before.arrivals
@@ -258,6 +260,9 @@ class Ingest:
             return "refused", "spaces", misfit
         if played is None or not 1 <= segment.weights_version <= played.notice.version:
             return "refused", "future", f"version {segment.weights_version} is not published"
+        if segment.num_steps > self._longest:
+            found = f"found {segment.num_steps} steps, expected at most {self._longest}"
+            return "refused", "length", f"{found}: that was the largest quota"
         if too_old := admission.too_old(segment, played.notice):
             return "stale", "", too_old
         if admission.max_policy_lag is not None and self._clock.is_flooded(played):

@@ -24,6 +24,7 @@ def _learner(path: Path, *, resume: bool) -> Learner:
         configuration=assemble({"env": ENV}, {}),
         spaces=Environment(EnvConfig(env_id=ENV)).spaces,
         layout=(),
+        episode_limit=None,
         bus=InProcessBus(Exchange()),
         path=path,
         metrics=LearnerMetrics(),

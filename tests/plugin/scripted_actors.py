@@ -139,6 +139,7 @@ class Script:
             configuration=assemble(options, self._settings),
             spaces=SPACES,
             layout=(),
+            episode_limit=None,
             bus=InProcessBus(exchange),
             path=self._path,
             metrics=LearnerMetrics(),

@@ -142,6 +142,7 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
                     configuration=configuration,
                     spaces=described.spaces,
                     layout=described.layout,
+                    episode_limit=described.episode_limit,
                     bus=bus,
                     path=place.path,
                     metrics=metrics,

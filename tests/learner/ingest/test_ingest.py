@@ -43,6 +43,7 @@ class _Run:
         max_policy_lag: int | None = 1,
         left: Sequence[Stored] = (),
         generation: int = 2,
+        episode_limit: int = 0,
         **options: Any,
     ) -> None:
         self.events: list[tuple[str, dict[str, object]]] = []
@@ -51,7 +52,7 @@ class _Run:
         self.journal = Journal(path / "journal", self.ledger.accepted_steps)
         run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
         self.ingest = Ingest(
-            Admission(run, SPACES, generation, max_policy_lag, 1.001),
+            Admission(run, SPACES, generation, max_policy_lag, 1.001, episode_limit),
             self.ledger,
             self.metrics,
             lambda kind, **details: self.events.append((kind, details)),
@@ -253,12 +254,35 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
     """Five episodes of 8 where a batch has 8 steps: an async learner would take four."""
     run = _Run(tmp_path)
     run.ingest.begin(
-        make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), Quota(8, 4, 0), 2
+        make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), Quota(8, 8, 5), 2
     )
     run.join("a")
     acks = [run.ingest.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
     assert [ack.verdict for ack in acks] == ["accepted"] * 5
     assert len(run.batch()) == 5
+
+
+def test_a_segment_is_no_longer_than_the_largest_quota(run: _Run, make_notice: MakeNotice) -> None:
+    """An actor may still be playing an earlier one."""
+    run.join("a")
+    found = [run.ingest.segment(_segment(seq=steps, steps=steps)) for steps in (4, 5)]
+    assert [ack.verdict for ack in found] == ["accepted", "refused"]
+    assert found[1].reason == "found 5 steps, expected at most 4: that was the largest quota"
+    smaller = make_notice(generation=2, version=6, quota_steps=2)
+    run.ingest.begin(smaller, Quota(8, 2, 0), 4)
+    assert run.ingest.segment(_segment(seq=6, steps=4)).verdict == "accepted"
+
+
+@pytest.mark.parametrize(("limit", "longest"), [(0, 10_000), (1000, 10_000), (12_000, 12_000)])
+def test_where_whole_episodes_are_played_a_segment_is_no_longer_than_one(
+    tmp_path: Path, make_notice: MakeNotice, limit: int, longest: int
+) -> None:
+    run = _Run(tmp_path, episode_limit=limit)
+    whole = make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5)
+    run.ingest.begin(whole, Quota(8, 8, 5), 2)
+    run.join("a")
+    sent = [_segment(seq=steps, steps=steps) for steps in (longest, longest + 1)]
+    assert [run.ingest.segment(each).verdict for each in sent] == ["accepted", "refused"]
 
 
 def test_an_actor_that_leaves_is_no_longer_waited_for(run: _Run) -> None:
