@@ -1,10 +1,10 @@
 """Messages to bytes and back: msgpack maps with a schema version; see ``docs/protocol.md``.
 
-The size is checked before anything is decoded, names and types before anything is built.
+Bytes and values are counted before anything is decoded, names and types checked before anything is
+built.
 Fields may be added at any time: an unknown one is ignored, a missing one has its default.
 """
 
-import itertools
 import math
 import reprlib
 import types
@@ -18,11 +18,11 @@ import msgpack
 import numpy as np
 
 from a2s.protocol import evaluation_messages, keys, messages, replay_messages
+from a2s.protocol.counting import has_too_many_values
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
 
 SCHEMA_VERSION = keys.MAJOR
 MIB = 1 << 20
-_MAX_CONTAINERS = 1 << 16  # an empty map takes one byte on the wire and 64 in memory
 _DTYPE = np.dtype("<f4")
 
 Message = (
@@ -54,6 +54,8 @@ MAX_BYTES: dict[type, int] = dict.fromkeys(typing.get_args(Message), MIB) | {
     replay_messages.ReplaySample: 16 * MIB,
     evaluation_messages.EvaluationTask: 256 * MIB,
 }
+_MAX_VALUES = dict.fromkeys(MAX_BYTES, 1 << 14) | {messages.RunStatus: 1 << 18}
+_MAX_ENTRIES = 1 << 13  # of an array or a map: they get their memory when they are announced
 _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 
 
@@ -90,7 +92,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     _check_size(len(payload), *kinds)
     expected = " or ".join(kind.__name__ for kind in kinds)
     try:
-        body = _unpack(payload)
+        body = _unpack(payload, max(_MAX_VALUES[kind] for kind in kinds))
     except (ValueError, RecursionError) as error:
         is_deep = not isinstance(error, msgpack.FormatError)
         reason = str(error) or ("nested too deeply" if is_deep else "a byte that begins no value")
@@ -108,16 +110,12 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     return typing.cast("M", _from_map(body, kind))
 
 
-def _unpack(payload: bytes) -> Any:
-    """Unpack at most ``_MAX_CONTAINERS`` maps and arrays."""
-    made = itertools.count(1)
-
-    def count(container: Any) -> Any:
-        if next(made) > _MAX_CONTAINERS:
-            raise ValueError(f"more than {_MAX_CONTAINERS} maps and arrays")
-        return container
-
-    return msgpack.unpackb(payload, strict_map_key=True, object_hook=count, list_hook=count)
+def _unpack(payload: bytes, most: int) -> Any:
+    if has_too_many_values(payload, most):
+        raise ValueError(f"more than {most} values")
+    return msgpack.unpackb(
+        payload, strict_map_key=True, max_array_len=_MAX_ENTRIES, max_map_len=_MAX_ENTRIES
+    )
 
 
 def _check_size(num_bytes: int, *kinds: type) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from a2s.protocol.fields import MAX_METRICS, NAME, is_name, require
+from a2s.protocol.fields import MAX_METRICS, NAME, is_name, require, require_counts
 from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric
 
 EvaluationMode = Literal["mean", "best-of-k"]
@@ -42,6 +42,8 @@ class EvaluationTask:
         once = len(ways) == len(set(ways)) > 0
         require(once, "evaluation: modes", ways, "at least one, none twice")
         require(0 <= self.seed < 1 << 63, "evaluation: seed", self.seed, "0 to 2^63 - 1")
+        names = ("generation", "number", "env_steps", "weights_version")
+        require_counts("evaluation", self, *names)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,6 +75,7 @@ class EvaluationResult:
     def __post_init__(self) -> None:
         """Check the name, and that the work is bounded."""
         require(is_name(self.evaluator), "evaluation: evaluator", repr(self.evaluator), NAME)
+        require_counts("evaluation", self, "generation", "number")
         count, most = len(self.episodes), MAX_EPISODES * len(MODES)
         require(1 <= count <= most, "evaluation: episodes", count, f"1..{most}")
         count = len(self.metrics)

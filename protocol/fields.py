@@ -14,6 +14,7 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}")
 NAME = "at most 96 of letters, digits, _ . -, beginning with no . or -"
 METRIC_NAME = "1 to 96 printable characters"
 MAX_METRICS = 32
+MAX_OBS = 1 << 21  # one step of a segment has two observations
 
 
 def is_name(text: str) -> bool:
@@ -30,6 +31,13 @@ def require(condition: bool, subject: str, found: object, expected: str) -> None
     """Raise MalformedMessageError unless the condition holds."""
     if not condition:
         raise MalformedMessageError(f"{subject}: found {found!s:.100}, expected {expected}")
+
+
+def require_counts(subject: str, message: object, *names: str) -> None:
+    """Raise MalformedMessageError for the first of these fields of a message that is negative."""
+    for name in names:
+        found = getattr(message, name)
+        require(found >= 0, f"{subject}: {name}", found, ">= 0")
 
 
 def require_finite(subject: str, **arrays: Array) -> None:
@@ -51,7 +59,7 @@ class Spaces:
     def __post_init__(self) -> None:
         """Check the sizes and the order of the bounds."""
         low, high = self.action_low, self.action_high
-        require(self.obs_size > 0, "spaces: obs_size", self.obs_size, "at least 1")
+        require(0 < self.obs_size <= MAX_OBS, "spaces: obs_size", self.obs_size, f"1..{MAX_OBS}")
         require(low.ndim == 1 and low.size > 0, "spaces: action_low", low.shape, "shape [A]")
         require(low.shape == high.shape, "spaces: action_high", high.shape, f"{low.shape}")
         require_finite("spaces", action_low=low, action_high=high)

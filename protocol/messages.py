@@ -23,6 +23,7 @@ from a2s.protocol.fields import (
     is_metric_name,
     is_name,
     require,
+    require_counts,
 )
 
 Clock = Literal["lockstep", "async"]
@@ -33,7 +34,14 @@ MAX_PLAYED = 1e10  # as in MuJoCo, which resets a simulation beyond it
 MAX_SUGGESTED = 1e6
 # An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
 ENDLESS_STEPS = 10_000
+MAX_ENVS = 4096  # of an actor
 _MAX_SLOT = 999_999
+_MAX_WAIT_S = 1e6
+_HEX = 64  # digits of a checksum
+_COUNTED = (
+    "weights_version", "epoch", "env_steps", "episodes", "segments_sent", "segments_answered",
+    "spooled_steps", "dropped_steps",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,9 +64,9 @@ class Hello:
         joins = self.spaces is not None
         complete = joins == bool(self.env_id)
         require(complete, "hello: env_id", repr(self.env_id), "spaces too, or neither")
-        low, high = (1, 4096) if joins else (0, 0)
+        low, high = (1, MAX_ENVS) if joins else (0, 0)
         require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
-        require(-1 <= self.slot <= _MAX_SLOT, "hello: slot", self.slot, f"-1..{_MAX_SLOT}")
+        _require_slot("hello", self.slot)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,6 +82,14 @@ class Welcome:
     slot: int  # unique among the actors present; -1 while it only asks
     seed: int  # of environments and noise; while it only asks, of what is random before it joins
     env: EnvConfig | None = None  # None: made with its id alone
+
+    def __post_init__(self) -> None:
+        """Check the numbers and the name."""
+        require(is_name(self.run), "welcome: run", repr(self.run), NAME)
+        found = self.num_envs
+        require(1 <= found <= MAX_ENVS, "welcome: num_envs", found, f"1..{MAX_ENVS}")
+        require_counts("welcome", self, "generation", "seed")
+        _require_slot("welcome", self.slot)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,8 +143,7 @@ class Segment:
         subject = f"segment {self.actor}/{self.seq}"
         self._check_shapes(subject)
         require(not (self.terminated and self.truncated), subject, "both ends", "one of them")
-        for name in ("seq", "generation", "epoch", "weights_version", "env"):
-            require(getattr(self, name) >= 0, f"{subject}: {name}", getattr(self, name), ">= 0")
+        require_counts(subject, self, "seq", "generation", "epoch", "weights_version", "env")
         length = self.episode_length
         require(length >= self.num_steps, subject, length, "episode_length >= T")
         count = len(self.metrics)
@@ -186,8 +201,10 @@ class Ack:
     wait_s: float  # to hold the next segment back
 
     def __post_init__(self) -> None:
-        """Check the wait."""
-        require(0 <= self.wait_s < math.inf, "ack: wait_s", self.wait_s, "0 or more seconds")
+        """Check the numbers."""
+        require_counts("ack", self, "generation", "epoch", "weights_version")
+        fits = 0 <= self.wait_s <= _MAX_WAIT_S  # false for NaN
+        require(fits, "ack: wait_s", self.wait_s, f"0 to {_MAX_WAIT_S:g} seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,8 +220,11 @@ class Notice:
     sha256: str  # of the graph, hexadecimal
 
     def __post_init__(self) -> None:
-        """Check that the quota asks for something."""
+        """Check the numbers, and that the quota asks for something."""
         require(self.quota_steps >= 1, "notice: quota_steps", self.quota_steps, "at least 1")
+        require_counts("notice", self, "generation", "epoch", "version", "quota_episodes")
+        require_counts("notice", self, "num_bytes")
+        require(len(self.sha256) <= _HEX, "notice: sha256", repr(self.sha256), f"{_HEX} digits")
 
     @property
     def identity(self) -> tuple[int, int]:
@@ -234,6 +254,11 @@ class RecoveryEvent:
     restored_version: int
     weights_version: int  # under which the restored networks are published again
 
+    def __post_init__(self) -> None:
+        """Check the counts; what is not known is NaN."""
+        names = ("id", "generation", "epoch", "restored_version", "weights_version")
+        require_counts("recovery", self, *names)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ActorStatus:
@@ -258,8 +283,14 @@ class ActorStatus:
     waiting_s: float = 0.0  # there were no new weights
 
     def __post_init__(self) -> None:
-        """Check the name: it is shown, and kept before the actor has joined."""
+        """Check what is shown, and kept before the actor has joined."""
         require(is_name(self.actor), "actor status: actor", repr(self.actor), NAME)
+        _require_slot("actor status", self.slot)
+        require_counts("actor status", self, *_COUNTED)
+        for name in ("environment_s", "selection_s", "sending_s", "waiting_s"):
+            found = getattr(self, name)
+            fits = 0 <= found < math.inf
+            require(fits, f"actor status: {name}", found, "0 or more seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -286,3 +317,13 @@ class RunStatus:
     evaluation_steps: int = 0  # of the run, when it had those weights; 0: there was no evaluation
     variant: str = ""  # on-policy or off-policy; empty: not told
     ended: str = ""  # why the run has ended; empty: it has not
+
+    def __post_init__(self) -> None:
+        """Check what is counted."""
+        counted = ("generation", "env_steps", "episodes", "updates", "weights_version", "epoch")
+        require_counts("run status", self, *counted, "evaluation_steps")
+        require(self.total_steps >= 1, "run status: total_steps", self.total_steps, "at least 1")
+
+
+def _require_slot(subject: str, slot: int) -> None:
+    require(-1 <= slot <= _MAX_SLOT, f"{subject}: slot", slot, f"-1..{_MAX_SLOT}")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from a2s.protocol.fields import Array, Spaces, require, require_finite
+from a2s.protocol.fields import Array, Spaces, require, require_counts, require_finite
 
 Column = Literal["obs", "action", "reward", "next_obs", "discount", "weight", "row"]
 COLUMNS: tuple[Column, ...] = get_args(Column)
@@ -22,6 +22,11 @@ class ReplayInfo:
     capacity: int  # transitions
     begin: int  # number of the oldest row
     end: int  # rows ever inserted
+
+    def __post_init__(self) -> None:
+        """Check the numbers against each other."""
+        require_counts("replay", self, "generation", "begin", "capacity")
+        require(self.begin <= self.end, "replay: end", self.end, f">= {self.begin}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,6 +77,9 @@ class ReplaySample:
 
     def __post_init__(self) -> None:
         """Check the columns against each other."""
+        require(0 <= self.begin <= self.end, "replay sample: end", self.end, f">= {self.begin}")
+        outside = [row for row in self.row if not self.begin <= row < self.end]
+        require(not outside, "replay sample: row", outside[:1], f"{self.begin} to {self.end} - 1")
         arrays: dict[str, Array] = {
             name: array for name in COLUMNS[:-1] if (array := getattr(self, name)) is not None
         }

@@ -125,6 +125,7 @@ class Ingest:
 
     def refuse(self, message: str, cause: str, reason: str) -> Refusal:
         """Count an unusable message."""
+        reason = one_line(reason)
         with self._changed:
             self._metrics.refused.labels(message=message, reason=cause).inc()
             self._on_event("refusal", message=message, reason=reason)

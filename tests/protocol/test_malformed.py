@@ -1,6 +1,7 @@
 """What is not a message is refused, with the reason in one line."""
 
 import re
+import tracemalloc
 from typing import Any
 
 import msgpack
@@ -8,9 +9,11 @@ import pytest
 from message_examples import EXAMPLES, KINDS, altered, body_of, refusal_of
 
 from a2s.protocol.codec import MAX_BYTES, MIB, decode, encode
+from a2s.protocol.counting import has_too_many_values
 from a2s.protocol.errors import OversizeMessageError, SchemaMismatchError
 from a2s.protocol.messages import (
     Ack,
+    ActorStatus,
     Hello,
     Notice,
     Refusal,
@@ -87,7 +90,7 @@ MALFORMED = [
     *(message(Segment, "segment h-1/7: arrays disagree about T: .*", reward=array(bytes(4 * n), s))
       for n, s in ((0, [0]), (1, []), (2, [2]))),
     message(Segment, "segment h-1/7: obs: found nan, .*", obs=array(b"\0\0\xc0\x7f", [1, 1])),
-    message(Ack, "ack: wait_s: found -1.0, expected 0 or more seconds", wait_s=-1),
+    message(Ack, r"ack: wait_s: found -1.0, expected 0 to 1e\+06 seconds", wait_s=-1),
     message(Hello, r"Spaces: found \[\], expected a map of its fields", spaces=[]),
     message(Welcome, "Spaces: found None, expected a map of its fields", spaces=None),
     message(Welcome, "EnvConfig: found 'E', expected a map of its fields", env="E"),
@@ -111,7 +114,7 @@ MALFORMED = [
     unread(b"\x81\xa3a2s\xdd\xff\xff\xff\xff", "array_len"),
     # What is passed over is unpacked all the same.
     unread(PASSED_OVER + b"\x91" * 2000 + b"\xc0", "nested too deeply"),
-    unread(PASSED_OVER + b"\xdd\0\1\0\0" + b"\x80" * (1 << 16), "more than 65536 maps"),
+    unread(PASSED_OVER + b"\xdc\x40\0" + b"\x80" * (1 << 14), "exceeds max_array_len(8192)"),
     unread(PASSED_OVER + b"\xa1\xff", "invalid start byte"),
     pytest.param(b"\xc0", ".*: found NoneType, expected a map", id="nil"),
     pytest.param(b"\x90", ".*: found list, expected a map", id="array"),
@@ -176,11 +179,45 @@ def test_deep_nesting_is_refused(field: str, level: bytes, depth: int) -> None:
     refusal_of(payload, Hello)
 
 
-def test_a_payload_of_nothing_but_tiny_maps_is_refused() -> None:
+@pytest.mark.parametrize("value", [b"\x80", b"\x90", b"\xc0", b"\x01"], ids=repr)
+def test_a_payload_of_nothing_but_tiny_values_is_refused_before_one_is_made(value: bytes) -> None:
     """Sixteen megabytes would become more than a gigabyte of Python objects."""
     count = MAX_BYTES[Segment] - 5
-    reason = refusal_of(b"\xdd" + count.to_bytes(4, "big") + b"\x80" * count, Segment)
-    assert reason == "Segment: not msgpack (more than 65536 maps and arrays)"
+    payload = b"\xdd" + count.to_bytes(4, "big") + value * count
+    tracemalloc.start()
+    reason = refusal_of(payload, Segment)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert reason == "Segment: not msgpack (more than 16384 values)"
+    assert most < MIB
+
+
+@pytest.mark.parametrize("size", [9000, 100_000])
+def test_what_is_announced_and_not_sent_is_refused(size: int) -> None:
+    """Nested arrays would get their memory before what they hold."""
+    reason = refusal_of((b"\xdc" + (8193).to_bytes(2, "big")) * 1000 + bytes(size), Segment)
+    assert re.search("exceeds max_array_len|more than 16384 values", reason)
+
+
+def test_every_value_of_msgpack_is_counted_once() -> None:
+    """As msgpack itself finds it, one more than may be is too many."""
+    kinds = [
+        None, True, False, 1, 200, 1 << 12, 1 << 20, 1 << 40, -1, -200, -5000, -(1 << 20),
+        -(1 << 40), 0.5, "a", "b" * 99, "c" * 300, "d" * 70_000, b"e", b"f" * 300, b"g" * 70_000,
+        [1] * 3, [2] * 99, [3] * 70_000, {"h": 4}, {str(i): i for i in range(99)}, {},
+        {str(i): i for i in range(70_000)}, msgpack.Timestamp(1, 1),
+        *(msgpack.ExtType(5, bytes(n)) for n in (1, 2, 4, 8, 16, 17, 300, 70_000)),
+    ]  # fmt: skip
+    held = 3 + 99 + 70_000 + 2 + 198 + 140_000
+    payload = msgpack.packb(kinds)
+    assert not has_too_many_values(payload, 1 + len(kinds) + held)
+    assert has_too_many_values(payload, len(kinds) + held)
+    assert msgpack.unpackb(payload) == kinds
+
+
+def test_a_status_of_a_run_with_the_most_actors_can_be_read() -> None:
+    status = altered(RunStatus, actors=[body_of(ActorStatus)] * 4096)
+    assert len(decode(status, RunStatus).actors) == 4096
 
 
 @pytest.mark.parametrize("field", ["a2s", "kind", "actor", "num_envs", "spaces"])

@@ -8,11 +8,23 @@ import pytest
 from message_examples import ENV, EXAMPLES, SPACES, f32
 
 from a2s.protocol.errors import MalformedMessageError
+from a2s.protocol.evaluation_messages import EvaluationResult, EvaluationTask
 from a2s.protocol.fields import MAX_METRICS, Array, Spaces, is_name
-from a2s.protocol.messages import Ack, ActorStatus, EpisodeMetric, Hello, Notice, Segment
+from a2s.protocol.messages import (
+    Ack,
+    ActorStatus,
+    EpisodeMetric,
+    Hello,
+    Notice,
+    RecoveryEvent,
+    RunStatus,
+    Segment,
+    Welcome,
+)
+from a2s.protocol.replay_messages import ReplayInfo, ReplaySample
 
-HELLO, SEGMENT, ACK, NOTICE, STATUS = (
-    EXAMPLES[kind][0] for kind in (Hello, Segment, Ack, Notice, ActorStatus)
+HELLO, SEGMENT, ACK, NOTICE, STATUS, WELCOME = (
+    EXAMPLES[kind][0] for kind in (Hello, Segment, Ack, Notice, ActorStatus, Welcome)
 )
 PLANE = Spaces(obs_size=3, action_low=f32([-1, -1]), action_high=f32([0, 0]))
 METRIC = EpisodeMetric(name="x", value=1.0)
@@ -39,8 +51,9 @@ def too_large(name: str, shape: tuple[int, ...], limit: float) -> list[tuple[Any
 
 
 IMPOSSIBLE: list[tuple[Any, dict[str, Any], str]] = [
-    (PLANE, {"obs_size": 0}, "spaces: obs_size: found 0, expected at least 1"),
-    (PLANE, {"obs_size": -3}, "spaces: obs_size: found -3, expected at least 1"),
+    (PLANE, {"obs_size": 0}, "spaces: obs_size: found 0, expected 1..2097152"),
+    (PLANE, {"obs_size": -3}, "spaces: obs_size: found -3, expected 1..2097152"),
+    (PLANE, {"obs_size": 2**21 + 1}, "spaces: obs_size: found 2097153, expected 1..2097152"),
     (PLANE, {"action_low": zeros(0)}, "spaces: action_low: found (0,), expected shape [A]"),
     (PLANE, {"action_low": zeros(2, 1)}, "spaces: action_low: found (2, 1), expected shape [A]"),
     (PLANE, {"action_high": zeros(3)}, "spaces: action_high: found (3,), expected (2,)"),
@@ -89,8 +102,40 @@ IMPOSSIBLE: list[tuple[Any, dict[str, Any], str]] = [
                    "\u202e", "\ud800", LONG)),
     *((METRIC, {"value": value}, f"metric x: found {value}, expected a finite number")
       for value in (NAN, INF, -INF)),
-    *((ACK, {"wait_s": value}, f"ack: wait_s: found {value}, expected 0 or more seconds")
-      for value in (-0.1, NAN, INF)),
+    *((ACK, {"wait_s": value}, f"ack: wait_s: found {value}, expected 0 to 1e+06 seconds")
+      for value in (-0.1, NAN, INF, 1.1e6)),
+    *((STATUS, {f"{name}_s": value}, f"actor status: {name}_s: found {value}, expected 0 or more")
+      for name in ("environment", "selection", "sending", "waiting") for value in (-0.1, NAN, INF)),
+    *((message, {"slot": slot}, f"{where}: slot: found {slot}, expected -1..999999")
+      for message, where in ((STATUS, "actor status"), (WELCOME, "welcome"))
+      for slot in (-5, 1_000_000)),
+    *((message, {name: -1}, f"{where}: {name}: found -1, expected >= 0")
+      for message, where, names in (
+          (STATUS, "actor status", (
+              "weights_version", "epoch", "env_steps", "episodes", "segments_sent",
+              "segments_answered", "spooled_steps", "dropped_steps")),
+          (ACK, "ack", ("generation", "epoch", "weights_version")),
+          (NOTICE, "notice", ("generation", "epoch", "version", "quota_episodes", "num_bytes")),
+          (WELCOME, "welcome", ("generation", "seed")),
+          (EXAMPLES[RunStatus][0], "run status", (
+              "generation", "env_steps", "episodes", "updates", "weights_version", "epoch",
+              "evaluation_steps")),
+          (EXAMPLES[RecoveryEvent][0], "recovery", (
+              "id", "generation", "epoch", "restored_version", "weights_version")),
+          (EXAMPLES[ReplayInfo][0], "replay", ("generation", "begin", "capacity")),
+          (EXAMPLES[EvaluationTask][0], "evaluation", (
+              "generation", "number", "env_steps", "weights_version")),
+          (EXAMPLES[EvaluationResult][0], "evaluation", ("generation", "number")),
+      )
+      for name in names),
+    (WELCOME, {"num_envs": 0}, "welcome: num_envs: found 0, expected 1..4096"),
+    (WELCOME, {"run": "a/b"}, f"welcome: run: found 'a/b', {NAME}"),
+    (NOTICE, {"sha256": "a" * 65}, "notice: sha256: found 'aaa"),
+    (EXAMPLES[RunStatus][0], {"total_steps": 0}, "run status: total_steps: found 0, expected at"),
+    (EXAMPLES[ReplayInfo][0], {"end": 1}, "replay: end: found 1, expected >= 2"),
+    (EXAMPLES[ReplaySample][0], {"begin": 6}, "replay sample: end: found 5, expected >= 6"),
+    *((EXAMPLES[ReplaySample][0], {"row": (row,)}, f"replay sample: row: found [{row}], expected 0")
+      for row in (-1, 5)),
     *((NOTICE, {"quota_steps": value}, f"notice: quota_steps: found {value}, expected at least 1")
       for value in (0, -1)),
 

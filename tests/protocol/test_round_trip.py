@@ -44,7 +44,7 @@ counts = st.integers(0, 2**63 - 1)
 integers = st.integers(-(2**63), 2**63 - 1)
 sizes = st.integers(1, 4)
 BY_TYPE: dict[type, st.SearchStrategy[Any]] = {
-    int: integers, float: st.floats(), str: texts, bool: st.booleans(), bytes: st.binary(),
+    int: counts, float: st.floats(), str: texts, bool: st.booleans(), bytes: st.binary(),
 }  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def spaces(draw: st.DrawFn) -> Spaces:
     """Make bounds where the lower one is lower, with an offset or without."""
     low, offset = draw(floats32(draw(sizes))), draw(st.none() | floats32(draw(sizes)))
     return Spaces(
-        obs_size=draw(st.integers(1, 2**32)) if offset is None else offset.size,
+        obs_size=draw(st.integers(1, 2**21)) if offset is None else offset.size,
         action_low=low,
         action_high=np.abs(low) * np.float32(2) + np.float32(1),
         obs_offset=offset,
@@ -101,8 +101,9 @@ def samples(draw: st.DrawFn) -> ReplaySample:
     b, d, a = draw(sizes), draw(sizes), draw(sizes)
     shapes = {"obs": (b, d), "action": (b, a), "next_obs": (b, d), "discount": (b,), "weight": (b,)}
     columns: dict[str, Any] = {n: draw(st.none() | floats32(*s)) for n, s in shapes.items()}
-    row = tuple(draw(st.just([]) | st.lists(integers, min_size=b, max_size=b)))
-    begin, end, reward = draw(integers), draw(integers), draw(floats32(b))
+    begin, end = sorted(draw(st.tuples(counts, counts)))
+    rows = st.lists(st.integers(begin, max(begin, end - 1)), min_size=b, max_size=b)
+    row, reward = tuple(draw(st.just([]) | rows) if begin < end else []), draw(floats32(b))
     return ReplaySample(begin=begin, end=end, reward=reward, row=row, **columns)
 
 
@@ -120,7 +121,12 @@ asking = build(Hello, actor=names, num_envs=st.just(0), env_id=st.just(""), spac
 joining = build(Hello, actor=names, num_envs=st.integers(1, 4096), env_id=texts.filter(bool),
                 spaces=spaces(), slot=st.integers(-1, 999_999))  # fmt: skip
 notices = build(Notice, quota_steps=counts.filter(bool))
-statuses = build(ActorStatus, actor=names)
+slots = st.integers(-1, 999_999)
+seconds = st.floats(0, allow_infinity=False)
+statuses = build(
+    ActorStatus, actor=names, slot=slots, environment_s=seconds, selection_s=seconds,
+    sending_s=seconds, waiting_s=seconds,
+)  # fmt: skip
 modes = st.sampled_from(MODES)
 played = build(
     EvaluatedEpisode, mode=modes, episode_return=st.floats(-1e10, 1e10),
@@ -128,16 +134,22 @@ played = build(
 )  # fmt: skip
 ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
     Hello: asking | joining,
-    Welcome: build(Welcome, spaces=spaces(), env=st.none() | environments),
+    Welcome: build(
+        Welcome, run=names, spaces=spaces(), env=st.none() | environments, slot=slots,
+        num_envs=st.integers(1, 4096),
+    ),
     Refusal: build(Refusal),
     Segment: segments(),
-    Ack: build(Ack, wait_s=st.floats(0, allow_infinity=False)),
+    Ack: build(Ack, wait_s=st.floats(0, 1e6)),
     Notice: notices,
     Weights: build(Weights, notice=notices),
     RecoveryEvent: build(RecoveryEvent),
     ActorStatus: statuses,
-    RunStatus: build(RunStatus, actors=st.lists(statuses, max_size=3).map(tuple)),
-    ReplayInfo: build(ReplayInfo, spaces=spaces()),
+    RunStatus: build(
+        RunStatus, total_steps=counts.filter(bool),
+        actors=st.lists(statuses, max_size=3).map(tuple),
+    ),
+    ReplayInfo: build(ReplayInfo, spaces=spaces(), begin=st.just(3), end=st.integers(3, 2**63 - 1)),
     ReplayRequest: build(
         ReplayRequest, batch_size=st.integers(1, 4096), seed=counts, n_step=st.integers(1, 64),
         gamma=st.floats(0.0, 1.0), beta=st.floats(0.0, 1.0),

@@ -393,6 +393,14 @@ def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
     assert counted._value.get() == 1
 
 
+def test_a_reason_is_short_whatever_was_sent(run: _Run) -> None:
+    hello = Hello(actor="a", num_envs=1, env_id="x\n" * 400_000, spaces=SPACES)
+    refusal = run.ingest.hello(hello)
+    assert isinstance(refusal, Refusal)
+    assert len(refusal.reason) <= 500
+    assert refusal.reason.isprintable()
+
+
 def test_a_recovery_forgets_what_waits(run: _Run, make_notice: MakeNotice) -> None:
     run.join("a")
     run.ingest.segment(_segment(seq=0))
