@@ -42,6 +42,24 @@ class InProcessBus:
         with self._exchange.lock:
             self._exchange.answers[key] = (self, _guarded(key, handler))
 
+    def answer_in_turn(
+        self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
+    ) -> None:
+        """Call the handler for one who asks, while so many wait."""
+        places, answer = threading.Semaphore(1 + at_most), _guarded(key, handler)
+
+        def enter(payload: bytes) -> bytes | None:
+            if not places.acquire(blocking=False):
+                return refuse()
+            try:
+                found: bytes | None = answer(payload)
+            finally:
+                places.release()
+            return found
+
+        with self._exchange.lock:
+            self._exchange.answers[key] = (self, enter)
+
     def publish(self, key: str, payload: bytes) -> None:
         """Call every subscriber."""
         self._call(self._exchange.subscribers, key, payload)

@@ -97,6 +97,12 @@ class Refusal:
     """The answer to a hello or a request that cannot be met: ``reason`` is one line."""
 
     reason: str
+    retry_s: float = 0.0  # after which it may be asked again; 0: never
+
+    def __post_init__(self) -> None:
+        """Check the wait."""
+        fits = 0 <= self.retry_s <= _MAX_WAIT_S  # false for NaN
+        require(fits, "refusal: retry_s", self.retry_s, f"0 to {_MAX_WAIT_S:g} seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,15 @@ class Bus(Protocol):
         """Answer the questions to ``key`` from now on; ``None`` is no answer."""
         ...
 
+    def answer_in_turn(
+        self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
+    ) -> None:
+        """Answer where the handler may take long: on a thread of its own.
+
+        While ``at_most`` questions wait for their turn, any more are answered by ``refuse``.
+        """
+        ...
+
     def publish(self, key: str, payload: bytes) -> None:
         """Send to everybody who listens to ``key``; it may be lost."""
         ...

@@ -5,10 +5,12 @@ The learner's session is the router (docs/adr/0003), so no other process is need
 
 import json
 import logging
+import queue
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
 import zenoh
@@ -59,6 +61,7 @@ class ZenohBus:
         self._declared: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
+        self._turns: list[_Turns] = []
 
     @classmethod
     def listen(cls, endpoint: str) -> "ZenohBus":
@@ -122,13 +125,17 @@ class ZenohBus:
         """Declare a queryable on ``key``."""
 
         def on_query(query: zenoh.Query) -> None:
-            with query, _logged(key):
-                payload = b"" if query.payload is None else bytes(query.payload)
-                answer = handler(payload)
-                if answer is not None:
-                    query.reply(query.key_expr, answer)
+            _answer(key, handler, query)
 
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
+
+    def answer_in_turn(
+        self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
+    ) -> None:
+        """Declare a queryable on ``key`` that never blocks what zenoh receives."""
+        turns = _Turns(key, handler, refuse, at_most)
+        self._turns.append(turns)
+        self._declared.append(self._session.declare_queryable(key, turns.take, complete=True))
 
     def publish(self, key: str, payload: bytes) -> None:
         """Put on ``key``; dropped for a listener that cannot keep up, not to stop the others."""
@@ -171,8 +178,47 @@ class ZenohBus:
 
     def close(self) -> None:
         """Close the session."""
+        for turns in self._turns:
+            turns.end()
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Turns:
+    """Questions that wait for a handler."""
+
+    def __init__(
+        self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
+    ) -> None:
+        self._key, self._handler, self._refuse = key, handler, refuse
+        self._waiting: queue.Queue[zenoh.Query | None] = queue.Queue(at_most)
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name=key)
+        self._thread.start()
+
+    def take(self, query: zenoh.Query) -> None:
+        try:
+            self._waiting.put_nowait(query)
+        except queue.Full:
+            _answer(self._key, lambda _: self._refuse(), query)
+
+    def end(self) -> None:
+        """Answer no more; the one that is being answered comes to its end."""
+        self._ended = True
+        with suppress(queue.Full):  # then the thread does not wait
+            self._waiting.put_nowait(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        while (query := self._waiting.get()) is not None and not self._ended:
+            _answer(self._key, self._handler, query)
+
+
+def _answer(key: str, handler: Answer, query: zenoh.Query) -> None:
+    with query, _logged(key):
+        answer = handler(b"" if query.payload is None else bytes(query.payload))
+        if answer is not None:
+            query.reply(query.key_expr, answer)
 
 
 @contextmanager

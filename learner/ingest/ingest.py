@@ -13,6 +13,7 @@ from dataclasses import replace
 from a2s.learner.feed import Arrival, Attendance, in_order
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.clock import Round, clock_of
+from a2s.learner.ingest.events import Events
 from a2s.learner.ingest.journal import Begun, Journal
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
@@ -34,6 +35,7 @@ from a2s.protocol.messages import (
 logger = logging.getLogger(__name__)
 
 _WAIT_S = 0.5
+_MAX_USELESS = 100_000
 
 
 class Ingest:
@@ -55,12 +57,14 @@ class Ingest:
         left_over: LeftOver,
     ) -> None:
         self._admission, self._clock = admission, clock_of(admission.run.clock)
-        self._ledger, self._metrics, self._on_event = ledger, metrics, on_event
+        self._ledger, self._metrics = ledger, metrics
+        self._event = Events(on_event, time.monotonic)
         self._store, self._journal, self._left_over = store, journal, left_over
         self._members = Members(admission.run.seed, admission.generation)
         self._changed = threading.Condition()
         self._round: Round | None = None
         self._longest = 0  # segment of all that the quotas so far allow
+        self._useless = 0  # segments that were refused, or were for another learner
         self._has_begun = False
         self._failure: RunDirectoryError | None = None
         metrics.env_steps.inc(ledger.accepted_steps)  # of earlier starts
@@ -100,18 +104,22 @@ class Ingest:
             if self._ledger.has(segment.actor, segment.seq):
                 return self._ack("duplicate", "answered before", segment)
             member = self._members.find(segment.actor)
+            is_ours = segment.generation == self._admission.generation
             if member is not None:
                 member.heard_s = time.monotonic()
-            elif segment.generation == self._admission.generation:
+            elif is_ours or not self._members.has_token(segment.actor):
                 self._metrics.refused.labels(message="segment", reason="unknown_actor").inc()
                 return self._ack("unknown", f"actor {segment.actor} has not joined", segment)
             if self._ledger.leaps(segment.actor, segment.seq):
                 return self.refuse_segment("future", f"seq {segment.seq} is far from the others")
             verdict, cause, reason = self._judge(segment, member)
-            self._write_down(segment, verdict, member)
+            is_useless = verdict == "refused" or not is_ours
+            self._useless += is_useless
+            if not is_useless or self._useless <= _MAX_USELESS:
+                self._write_down(segment, verdict, member)
             if verdict == "refused":
                 self._metrics.refused.labels(message="segment", reason=cause).inc()
-                self._on_event("refusal", actor=segment.actor, seq=segment.seq, reason=reason)
+                self._event("refusal", cause, actor=segment.actor, seq=segment.seq, reason=reason)
             if verdict == "accepted":
                 assert member is not None
                 self._count(segment, member)
@@ -128,7 +136,7 @@ class Ingest:
         reason = one_line(reason)
         with self._changed:
             self._metrics.refused.labels(message=message, reason=cause).inc()
-            self._on_event("refusal", message=message, reason=reason)
+            self._event("refusal", f"{message} {cause}", message=message, reason=reason)
         return Refusal(reason=reason)
 
     def status(self, status: ActorStatus) -> None:
@@ -140,8 +148,9 @@ class Ingest:
             if member is None:
                 self._members.hear_newcomer(status, now_s)
                 return
-            if member.is_news(status):
-                self._on_event("trouble", actor=status.actor, slot=member.slot, what=status.trouble)
+            if member.is_news(status) and self._event(
+                "trouble", actor=status.actor, slot=member.slot, what=status.trouble
+            ):
                 logger.warning("actor %s: %s", status.actor, status.trouble)
             self._members.hear(member, status, now_s)
             if status.leaving:
@@ -247,11 +256,11 @@ class Ingest:
     def _welcome(self, hello: Hello, slot: int) -> None:
         self._has_begun |= len(self._members.present) >= self._admission.run.n
         self._metrics.joins.inc()
-        self._on_event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
+        self._event("join", actor=hello.actor, slot=slot, envs=hello.num_envs)
         if hello.cause:
             reason = one_line(hello.cause)
-            self._on_event("restart", actor=hello.actor, slot=slot, reason=reason)
-            logger.warning("actor %s was replaced: %s", hello.actor, reason)
+            if self._event("restart", actor=hello.actor, slot=slot, reason=reason):
+                logger.warning("actor %s was replaced: %s", hello.actor, reason)
 
     def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
         admission, played = self._admission, self._round
@@ -341,5 +350,5 @@ class Ingest:
         member = self._members.leave(actor)
         if member is not None:
             self._metrics.leaves.labels(reason=reason).inc()
-            self._on_event("leave", actor=actor, slot=member.slot, reason=reason)
+            self._event("leave", actor=actor, slot=member.slot, reason=reason)
             self._changed.notify_all()

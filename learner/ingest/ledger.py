@@ -13,7 +13,8 @@ from a2s.learner.run.writing import write_at, writing
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Verdict
 
-_MAX_LEAP = 10_000
+_MAX_LEAP = 10_000  # of an actor
+_MAX_MISSING = 100_000  # of all
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
 
@@ -46,8 +47,8 @@ class _Sender:
     def has(self, seq: int) -> bool:
         return self.first <= seq < self.next_seq and seq not in self.missing
 
-    def leaps(self, seq: int) -> bool:
-        return not self.first - _MAX_LEAP <= seq < self.next_seq + _MAX_LEAP
+    def skips(self, seq: int) -> int:
+        return max(0, seq - self.next_seq, self.first - seq - 1)
 
     def add(self, seq: int) -> None:
         self.missing.discard(seq)
@@ -66,7 +67,7 @@ class Ledger:
     def __init__(self, path: Path) -> None:
         self._senders: dict[str, _Sender] = {}
         self._verdicts = dict.fromkeys(_RECORDED, 0)
-        self._duplicates = 0
+        self._duplicates = self._missing = 0
         self.accepted_steps = 0
         whole = 0
         for line, end in _lines(path):
@@ -87,8 +88,16 @@ class Ledger:
         return actor in self._senders and self._senders[actor].has(seq)
 
     def leaps(self, actor: str, seq: int) -> bool:
-        """Whether a number is so far from those seen that it cannot be the actor's next."""
-        return actor in self._senders and self._senders[actor].leaps(seq)
+        """Whether a number is so far from those seen that it cannot be the actor's next.
+
+        Skipped numbers are remembered, less than 10,000 of an actor and 100,000 of all.
+        """
+        sender = self._senders.get(actor)
+        if sender is None or not (skipped := sender.skips(seq)):
+            return False
+        if len(sender.missing) + skipped >= _MAX_LEAP:
+            return True
+        return self._missing + skipped > _MAX_MISSING
 
     def record(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         """Write an answer down; it survives the death of this process when this returns.
@@ -105,7 +114,7 @@ class Ledger:
         """Add up all answers."""
         return Accounts(
             sent=sum(s.next_seq - s.first for s in self._senders.values()),
-            lost=sum(len(sender.missing) for sender in self._senders.values()),
+            lost=self._missing,
             duplicate=self._duplicates,
             **self._verdicts,
         )
@@ -115,7 +124,10 @@ class Ledger:
         os.close(self._file)
 
     def _count(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
-        self._senders.setdefault(actor, _Sender(seq, seq)).add(seq)
+        sender = self._senders.setdefault(actor, _Sender(seq, seq))
+        before = len(sender.missing)
+        sender.add(seq)
+        self._missing += len(sender.missing) - before
         self._verdicts[verdict] += 1
         if verdict == "accepted":
             self.accepted_steps += steps

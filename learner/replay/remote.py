@@ -18,6 +18,9 @@ from a2s.protocol.replay_messages import COLUMNS, ReplayInfo, ReplayRequest, Rep
 from a2s.protocol.transport import Bus
 
 _TIMEOUT_S = 10.0
+_PATIENCE_S = 60.0
+_RETRY_S = 0.5
+_MAX_WAITING = 32
 
 M = TypeVar("M", bound=Message)
 
@@ -26,8 +29,8 @@ class ServedReplay:
     """Answers requests for transitions, one at a time, in a bounded share of the time.
 
     After each answer it rests, so that under any load the learner keeps the rest of a core;
-    requests wait for their turn. ``share`` is the part of the time for answers, above 0 and up to
-    1; ``clock`` gives seconds and ``rest`` waits for seconds.
+    requests wait for their turn, or are refused for now if many do. ``share`` is the part of the
+    time for answers, above 0 and up to 1; ``clock`` gives seconds and ``rest`` waits for seconds.
     """
 
     def __init__(
@@ -54,7 +57,10 @@ class ServedReplay:
     def open(self) -> None:
         """Answer from now on."""
         self._bus.answer(self._keys.replay_info, self._on_info)
-        self._bus.answer(self._keys.replay_sample, self._on_sample)
+        busy = f"{_MAX_WAITING} requests wait already; ask again in {_RETRY_S:g} s"
+        refusal = encode(Refusal(reason=busy, retry_s=_RETRY_S))
+        sample = self._keys.replay_sample
+        self._bus.answer_in_turn(sample, self._on_sample, lambda: refusal, _MAX_WAITING)
 
     def _on_info(self, payload: bytes) -> bytes:
         del payload
@@ -148,15 +154,20 @@ class RemoteReplay:
         return self._ask(self._keys.replay_sample, encode(request), ReplaySample)
 
     def _ask(self, key: str, payload: bytes, kind: type[M]) -> M:
-        answer = self._bus.ask(key, payload, _TIMEOUT_S)
-        if answer is None:
-            raise UnreachableError(
-                f"{key}: no answer; is the run {self._keys.run!r} off-policy, and its learner up?"
-            )
-        found: M | Refusal = decode(answer, kind, Refusal)
-        if isinstance(found, Refusal):
-            raise RefusedError(f"{key}: the learner refused: {found.reason}")
-        return found
+        begin_s = time.monotonic()
+        while True:
+            answer = self._bus.ask(key, payload, _TIMEOUT_S)
+            if answer is None:
+                raise UnreachableError(
+                    f"{key}: no answer; is the run {self._keys.run!r} off-policy, and its learner "
+                    "up?"
+                )
+            found: M | Refusal = decode(answer, kind, Refusal)
+            if not isinstance(found, Refusal):
+                return found
+            if not found.retry_s or time.monotonic() - begin_s > _PATIENCE_S:
+                raise RefusedError(f"{key}: the learner refused: {found.reason}")
+            time.sleep(found.retry_s)
 
 
 def _column(sample: ReplaySample, name: str) -> Array:

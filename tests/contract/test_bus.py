@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from typing import Any
@@ -149,6 +149,36 @@ def test_a_handler_may_give_no_answer(learner: Bus, actor: Bus) -> None:
     settle(learner, actor)
     assert actor.ask("a2s/r/hello", b"", timeout_s=30.0) is None
     assert actor.ask("a2s/r/hello", b"", timeout_s=30.0) == b"now"
+
+
+def test_while_many_wait_for_a_slow_handler_others_are_refused_at_once(
+    learner: Bus, actor: Bus
+) -> None:
+    """And what has another handler is answered, however slow this one is."""
+    entered, go_on = threading.Semaphore(0), threading.Event()
+
+    def slowly(question: bytes) -> bytes:
+        entered.release()
+        go_on.wait(DEADLINE_S)
+        return question
+
+    learner.answer_in_turn("a2s/r/replay", slowly, lambda: b"busy", at_most=2)
+    learner.answer("a2s/r/segment", lambda question: question)
+    settle(learner, actor)
+    with ThreadPoolExecutor(9) as pool:
+
+        def ask() -> "Future[bytes | None]":
+            return pool.submit(actor.ask, "a2s/r/replay", b"1", DEADLINE_S)
+
+        first = ask()
+        entered.acquire(timeout=DEADLINE_S)
+        asked = [ask() for _ in range(8)]
+        refused = list(itertools.islice(as_completed(asked, DEADLINE_S), 6))
+        assert [each.result() for each in refused] == [b"busy"] * 6
+        assert actor.ask("a2s/r/segment", b"2", DEADLINE_S) == b"2"
+        go_on.set()
+        assert first.result() == b"1"
+        assert [each.result() for each in asked].count(b"1") == 2
 
 
 def test_a_handler_that_raises_gives_no_answer_and_goes_on(

@@ -105,7 +105,10 @@ GOLDEN: list[tuple[Message, bytes]] = [
         b"\xa6spaces" + SPACES_BYTES + b"\xa8num_envs\x08\xa5clock\xa8lockstep\xa4slot\xff"
         b"\xa4seed\xce\x00\x01\x00\x00\xa3env" + ENV_BYTES,
     ),
-    (Refusal(reason="no"), b"\x83\xa3a2s\x02\xa4kind\xa7Refusal\xa6reason\xa2no"),
+    (
+        Refusal(reason="no", retry_s=0.5),
+        b"\x84\xa3a2s\x02\xa4kind\xa7Refusal\xa6reason\xa2no\xa7retry_s" + FLOAT64_HALF,
+    ),
     (
         Segment(
             actor="h-1", seq=7, generation=1, epoch=0, weights_version=2, env=0, obs=f32([[1]]),
@@ -219,6 +222,7 @@ DEFAULTS: dict[type, dict[str, object]] = {
     },
     Hello: {"cause": "", "slot": -1},
     Welcome: {"env": None},
+    Refusal: {"retry_s": 0.0},
     Segment: {"metrics": ()},
     ActorStatus: {
         "doing": "", "dropped_steps": 0, "trouble": "",

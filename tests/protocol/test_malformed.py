@@ -58,7 +58,7 @@ FITS = "at most two sizes that fit data"
 INTEGER = "an integer below 2^63"
 NO_ARRAYS: list[Any] = [[1.0], None, {"dtype": "<f4", "shape": [1]}]
 NO_KINDS: list[Any] = ["Spaces", "Message", "", None, 3, ["Ack"], {}]  # Spaces is only a part
-PASSED_OVER = b"\x84" + altered(Refusal)[1:] + b"\xa6colour"
+PASSED_OVER = b"\x85" + altered(Refusal)[1:] + b"\xa6colour"
 MALFORMED = [
     field(Ack, "verdict", "maybe", VERDICTS),
     field(Ack, "verdict", ["accepted"], VERDICTS),

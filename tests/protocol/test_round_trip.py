@@ -138,7 +138,7 @@ ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
         Welcome, run=names, spaces=spaces(), env=st.none() | environments, slot=slots,
         num_envs=st.integers(1, 4096),
     ),
-    Refusal: build(Refusal),
+    Refusal: build(Refusal, retry_s=st.floats(0, 1e6)),
     Segment: segments(),
     Ack: build(Ack, wait_s=st.floats(0, 1e6)),
     Notice: notices,

@@ -11,6 +11,7 @@ import pytest
 from segments import segment
 
 from a2s.learner.feed import Arrival
+from a2s.learner.ingest import ingest
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.ingest import Ingest
 from a2s.learner.ingest.journal import Journal, Stored
@@ -369,6 +370,29 @@ def test_a_number_out_of_all_order_is_refused_at_once(run: _Run) -> None:
     ack = run.ingest.segment(_segment(seq=2**62))
     assert (ack.verdict, ack.reason) == ("refused", f"seq {2**62} is far from the others")
     assert run.ledger.accounts().sent == 1
+
+
+def test_refused_segments_fill_no_disk(
+    run: _Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are answered all the same, and what can be used is still written down."""
+    monkeypatch.setattr(ingest, "_MAX_USELESS", 5)
+    run.join("a")
+    sent = [_segment(seq=i, env=7) for i in range(20)]
+    sent += [_segment(seq=i, generation=1) for i in range(20, 40)]
+    verdicts = [run.ingest.segment(each).verdict for each in sent]
+    assert verdicts == ["refused"] * 20 + ["stale"] * 20
+    assert run.ingest.segment(_segment(seq=40)).verdict == "accepted"
+    assert (tmp_path / "segments.log").read_text().count("\n") == 5 + 1
+    assert sum(kind == "refusal" for kind, _ in run.events) == 10
+
+
+def test_what_is_left_of_an_earlier_learner_is_counted_once_its_sender_is_seen(run: _Run) -> None:
+    """A name that nobody has would cost memory and disk."""
+    late = _segment("a", generation=1)
+    assert run.ingest.segment(late).verdict == "unknown"
+    run.ingest.here("a")
+    assert run.ingest.segment(late).verdict == "stale"
 
 
 def test_joining_twice_keeps_the_place_and_the_seed(run: _Run) -> None:

@@ -49,9 +49,23 @@ def test_a_number_far_away_is_recognised_without_being_counted_to(tmp_path: Path
     ledger = Ledger(tmp_path / "segments.log")
     assert not ledger.leaps("a", 2**62)
     ledger.record("a", 5, "accepted", 5)
-    assert [ledger.leaps("a", seq) for seq in (6, 10_005, 10_006, 2**62)] == [False] * 2 + [
-        True
-    ] * 2
+    far = [ledger.leaps("a", seq) for seq in (6, 10_005, 10_006, 2**62)]
+    assert far == [False, False, True, True]
+
+
+def test_what_is_skipped_is_bounded_however_often_an_actor_leaps(tmp_path: Path) -> None:
+    """Else hundreds of megabytes of numbers would be remembered."""
+    ledger, refused = Ledger(tmp_path / "segments.log"), 0
+    for actor in "abcdefghijklmnopq":
+        seq = 0
+        for _ in range(5):
+            if ledger.leaps(actor, seq):
+                refused += 1
+            else:
+                ledger.record(actor, seq, "accepted", 1)
+            seq += 6_000
+    assert refused == 17 * 3 + 1  # more than 10,000 of an actor; at last more than 100,000 of all
+    assert ledger.accounts().lost == 16 * 5_999
 
 
 @given(events=EVENTS)

@@ -20,7 +20,7 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Refusal
-from a2s.protocol.replay_messages import COLUMNS, ReplayRequest
+from a2s.protocol.replay_messages import COLUMNS, ReplayInfo, ReplayRequest
 from a2s.protocol.transport import Bus
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -122,6 +122,17 @@ def test_what_cannot_be_served_is_refused_with_a_reason(
         assert reason in decode(answer, Refusal).reason
     with pytest.raises(UnreachableError, match="other/replay/info: no answer"):
         RemoteReplay(buses[1], Keys("other")).info()
+
+
+def test_who_is_refused_for_now_asks_again() -> None:
+    exchange = Exchange()
+    info = ReplayInfo(run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3)
+    answers = iter([Refusal(reason="busy", retry_s=0.001), info, Refusal(reason="never")])
+    InProcessBus(exchange).answer(KEYS.replay_info, lambda _: encode(next(answers)))
+    remote = RemoteReplay(InProcessBus(exchange), KEYS)
+    assert remote.info().end == 3
+    with pytest.raises(RefusedError, match="never"):
+        remote.info()
 
 
 def test_an_empty_replay_and_an_answer_too_large_are_refused(rng: np.random.Generator) -> None:
