@@ -9,6 +9,7 @@ from a2s.protocol.messages import Notice
 
 _MAX_BATCHES = 4
 _PATIENCE = 10
+STALLED_S = 300.0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -56,6 +57,23 @@ class Lockstep:
         """Whether more waits than can be learned from in time: never, for the same reason."""
         return False
 
+    def stalled(
+        self, played: Round, members: list[Member], now_s: float, timeout_s: float
+    ) -> list[Member]:
+        """Who owes the batch something that is not to be expected any more.
+
+        An actor that reports a call into an environment has as long as each of its environments
+        may take, ``timeout_s``.
+        """
+        return [m for m in members if self._is_stalled(m, played, now_s, timeout_s)]
+
+    def _is_stalled(self, member: Member, played: Round, now_s: float, timeout_s: float) -> bool:
+        if member.has_delivered(played.notice):
+            return False
+        is_inside = member.status is not None and member.status.doing
+        limit_s = max(STALLED_S, member.num_envs * timeout_s if is_inside else 0.0)
+        return member.idle_s(played.notice, played.published_s, now_s) > limit_s
+
     def missing(self, played: Round, members: list[Member], now_s: float) -> str:
         """What the batch waits for, given which actors were heard; "" if it is complete.
 
@@ -82,6 +100,12 @@ class Async:
     def is_flooded(self, played: Round) -> bool:
         """Whether four batches wait."""
         return played.num_batches >= _MAX_BATCHES
+
+    def stalled(
+        self, played: Round, members: list[Member], now_s: float, timeout_s: float
+    ) -> list[Member]:
+        """Nobody: nobody is waited for."""
+        return []
 
     def missing(self, played: Round, members: list[Member], now_s: float) -> str:
         """What an unfilled batch waits for: the rest of its steps."""

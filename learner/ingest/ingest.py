@@ -299,6 +299,7 @@ class Ingest:
         played.arrivals.append(Arrival.of(segment, member.slot))
         played.steps += segment.num_steps
         may_complete = self._clock.is_filled(played)
+        member.has_sent(time.monotonic())
         if segment.weights_version == played.notice.version:
             member.deliver(segment)
             if member.has_delivered(played.notice):
@@ -330,7 +331,9 @@ class Ingest:
         """Say what a batch still waits for; empty when it is complete."""
         if self._round is None:
             return "the first weights"
-        now_s, present = time.monotonic(), self._members.present
+        now_s = time.monotonic()
+        self._give_up(self._round, now_s)
+        present = self._members.present
         if not self._has_begun:
             wanted = self._admission.run.n
             return f"{wanted - len(present)} more of {wanted} actors: {self._coming(now_s)}"
@@ -341,6 +344,18 @@ class Ingest:
             silent = f"none of {len(present)} was heard for {SILENT_S:.0f} s"
             return f"actors: {silent if present else 'none is present'}, {self._coming(now_s)}"
         return self._clock.missing(self._round, heard, now_s)
+
+    def _give_up(self, played: Round, now_s: float) -> None:
+        """Go on without members that report, but of whom nothing comes."""
+        timeout_s = self._admission.run.env_timeout_s
+        for member in self._clock.stalled(played, self._members.present, now_s, timeout_s):
+            idle_s = member.idle_s(played.notice, played.published_s, now_s)
+            doing = member.status.doing if member.status else ""
+            logger.warning(
+                "actor %s: nothing came of it for %.0f s%s; going on without it until it sends",
+                member.actor, idle_s, doing and f" ({doing})",
+            )  # fmt: skip
+            self._leave(member.actor, "stalled")
 
     def _coming(self, now_s: float) -> str:
         coming = self._members.describe_newcomers(now_s)

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from a2s.protocol.generations import start_of
-from a2s.protocol.messages import ActorStatus, Hello, Notice, Segment
+from a2s.protocol.messages import ENDLESS_STEPS, ActorStatus, Hello, Notice, Segment
 
 SILENT_S = 30.0
 MAX_SEEN = 1 << 16  # tokens
@@ -41,6 +41,8 @@ class Member:
         heard_s: When it was last heard, on the monotonic clock.
         done_s: When its quota was complete, on the same clock.
         status: Its latest status.
+        delivered_s: When it joined or delivered last, on the same clock.
+        moved_s: When it reported more steps last, on the same clock.
         said: The latest trouble that was passed on, and the steps that it had dropped by then.
     """
 
@@ -50,8 +52,11 @@ class Member:
     heard_s: float
     done_s: float = 0.0
     status: ActorStatus | None = None
+    delivered_s: float = 0.0
+    moved_s: float = 0.0
     said: tuple[str, int] = ("", 0)
     _delivered: list[_Delivered] = field(default_factory=list)
+    _steps_then: int = 0  # that it had reported when it delivered last
 
     def __post_init__(self) -> None:
         """Begin with nothing delivered."""
@@ -71,6 +76,28 @@ class Member:
     def has_delivered(self, notice: Notice) -> bool:
         """Whether every environment has played the quota."""
         return all(delivered.meets(notice) for delivered in self._delivered)
+
+    def hear(self, status: ActorStatus, now_s: float) -> None:
+        """Remember its status."""
+        if self.status is None or status.env_steps > self.status.env_steps:
+            self.moved_s = now_s
+        self.status, self.heard_s = status, now_s
+
+    def has_sent(self, now_s: float) -> None:
+        """It has delivered something."""
+        self.delivered_s = now_s
+        self._steps_then = self.status.env_steps if self.status else 0
+
+    def idle_s(self, notice: Notice, published_s: float, now_s: float) -> float:
+        """Seconds since anything came of the quota: a segment, or a report of more steps.
+
+        Reports count up to twice the quota: who plays more than that and sends nothing is idle.
+        """
+        per_env = max(notice.quota_steps, ENDLESS_STEPS if notice.quota_episodes else 0)
+        unsent = (self.status.env_steps if self.status else 0) - self._steps_then
+        is_credible = unsent <= 2 * self.num_envs * per_env
+        moved_s = self.moved_s if is_credible else 0.0
+        return now_s - max(published_s, self.delivered_s, moved_s)
 
     def is_news(self, status: ActorStatus) -> bool:
         """Whether to pass its trouble on: the first, and each time that the loss has doubled."""
@@ -166,7 +193,7 @@ class Members:
             member = self._away.pop(actor, None)
             if member is None or member.num_envs != num_envs:
                 member = Member(actor=actor, slot=slot, num_envs=num_envs, heard_s=now_s)
-            member.slot, member.heard_s = slot, now_s
+            member.slot, member.heard_s, member.delivered_s = slot, now_s, now_s
             self._present[actor] = member
             self._newcomers.pop(actor, None)
             self._joins[slot] = self._joins.get(slot, 0) + 1
@@ -195,7 +222,7 @@ class Members:
 
     def hear(self, member: Member, status: ActorStatus, now_s: float) -> None:
         """Remember a member's status."""
-        member.status, member.heard_s = status, now_s
+        member.hear(status, now_s)
         self._dropped[member.actor] = status.dropped_steps
         self._dropped_before += sum(_forget_oldest(self._dropped))
 

@@ -50,11 +50,13 @@ def repeat(configuration: Configuration, place: Place, source: Path) -> int:
             configuration=configuration,
             spaces=described.spaces,
             layout=described.layout,
+            episode_limit=described.episode_limit,
             bus=InProcessBus(Exchange()),
             path=place.path,
             metrics=metrics,
             view=view,
             resume=True,
+            mark=0,  # nobody joins it
         )
         place.write_config(configuration)
         summary = learner.run(stop.is_set, only_again=True)

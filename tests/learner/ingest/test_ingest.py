@@ -1,5 +1,6 @@
 """Ingest: what is accepted, stale and refused, and when a batch is complete."""
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -350,6 +351,26 @@ def test_a_run_has_at_most_so_many_environments(run: _Run) -> None:
     assert run.join("a0", num_envs=4096).slot == 0  # a member is welcome again
     run.ingest.gone("a0")
     assert run.join("b").slot == 0
+
+
+def test_a_member_of_whom_nothing_comes_is_one_no_more_until_it_sends(
+    run: _Run, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The batch is made without it, and it is named."""
+    run.join("a")
+    run.join("b")
+    now_s = time.monotonic() + 301.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    run.ingest.segment(_segment("a"))
+    assert [arrival.slot for arrival in run.batch()] == [0]
+    assert ("leave", {"actor": "b", "slot": 1, "reason": "stalled"}) in run.events
+    assert "actor b: nothing came of it for 301 s; going on without it until it sends" in (
+        caplog.text
+    )
+    late = _segment("b")
+    assert run.ingest.segment(late).verdict == "unknown"
+    run.join("b")
+    assert run.ingest.segment(late).verdict == "accepted"
 
 
 def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
