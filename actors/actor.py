@@ -4,10 +4,11 @@ import logging
 import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 
+from a2s.actors.environments.allowed import require_allowed
 from a2s.actors.environments.environment import Environment, require_alike
 from a2s.actors.environments.making import seed_globals
 from a2s.actors.metrics import ActorMetrics, total
@@ -47,6 +48,7 @@ class Task:
         num_envs: Environments to step; ``None`` leaves it to the learner.
         outbox_steps: Steps that may wait for an answer.
         evaluates: It is an evaluator, and takes no part in the run.
+        allow_env: Code that a learner may have it run, as `require_allowed` takes it.
         cause: Why the process before it in this place was replaced; empty if there was no other.
     """
 
@@ -57,6 +59,7 @@ class Task:
     num_envs: int | None
     outbox_steps: int
     evaluates: bool = False
+    allow_env: Sequence[str] = ()
     cause: str = ""
 
 
@@ -128,6 +131,7 @@ class Actor:
         seed_globals(told.seed)
         with ExitStack() as stack:
             try:
+                require_allowed(config, self._task.allow_env)
                 environments = []
                 for index in range(self._task.num_envs or told.num_envs):
                     environment = Environment(

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 from typing import NamedTuple
 
 from a2s.actors.actor import Task
+from a2s.actors.environments.allowed import require_allowed
 from a2s.actors.environments.environment import Environment
 from a2s.actors.evaluation import Evaluation, make_environments, play, trained_on
 from a2s.actors.metrics import ActorMetrics
@@ -64,6 +65,7 @@ class Evaluator:
         self._metrics, self._parent, self._on_failure = metrics, parent, on_failure
         self._patience = Patience(bus, self._keys, speaks=task.worker == 0)
         self._config: EnvConfig | None = None
+        self._allowed = task.allow_env
         self._environments: list[Environment] = []
         self._ended = threading.Event()
 
@@ -154,6 +156,7 @@ class Evaluator:
         if config is None:
             raise UsageError("the learner's policy: its metadata name no environment")
         if config != self._config:
+            require_allowed(config, self._allowed)
             self.env_id, self._config = config.env_id, config
             self._parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
             count = min(self._num_envs, episodes)

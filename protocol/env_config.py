@@ -65,6 +65,12 @@ class EnvConfig:
         return {name: _filled(value, numbers) for name, value in arguments.items()}
 
     @property
+    def code(self) -> tuple[str, ...]:
+        """What is imported for it, or run, as ``module:Name`` or ``PATH.py:Name``."""
+        named = (self.env_id, *(wrapper.partition("=")[0].strip() for wrapper in self.wrappers))
+        return tuple(name for name in named if ":" in name)
+
+    @property
     def metric_names(self) -> tuple[str, ...]:
         """Keys of ``info`` that are read when an episode ends, each once."""
         return tuple(dict.fromkeys((ALWAYS_METRIC, *self.info_metrics)))

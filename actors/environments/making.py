@@ -115,9 +115,7 @@ def _module(place: str, subject: str) -> Any:
                 f"{subject}: {place}: {_line(error)}; install it, run where it lies, or name its "
                 "file: ./FILE.py:NAME"
             ) from None
-    path = Path(place)
-    if not path.exists():
-        path = _START / path.name  # of another machine's directory: the same file in ours
+    path = file_of(place)
     if not path.exists():
         raise UsageError(f"{subject}: {place}: found no such file, nor {path.name} in {_START}")
     path = path.resolve()
@@ -126,6 +124,12 @@ def _module(place: str, subject: str) -> Any:
         return loaded
     sys.path.append(str(path.parent))
     return _run_file(path, subject)
+
+
+def file_of(place: str) -> Path:
+    """The file of an environment: what is named, or else that of the same name where we began."""
+    path = Path(place)
+    return path if path.exists() else _START / path.name  # it may be another machine's directory
 
 
 def _run_file(path: Path, subject: str) -> Any:

@@ -115,6 +115,11 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
         )  # fmt: skip
         bus.publish(keys.actor_status("peer"), encode(leaves))
 
+    strict = start("actor", "--allow-env", "mine", "--connect", endpoint, "--metrics-port", "-1")
+    assert strict.process.wait(PATIENCE_S) == 1
+    last = strict.text().splitlines()[-1]
+    assert last.startswith(f"a2s: environment '{ENV}': the learner wants")
+    assert last.endswith("--allow-env a2s_test_envs")
     actor = start("actor", "--n", "2", "--connect", endpoint, "--metrics-port", "-1")
     assert learner.process.wait(PATIENCE_S) == 0, learner.text()
     summary = json.loads((path / "summary.json").read_text())

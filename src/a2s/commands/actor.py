@@ -1,6 +1,7 @@
 """``a2s actor``: n supervised actor processes on this machine."""
 
 import socket
+from collections.abc import Sequence
 
 import typer
 
@@ -25,6 +26,7 @@ def act(
     run: str,
     connect: str,
     evaluates: bool,
+    allow_env: Sequence[str],
     outbox_steps: int,
     metrics_host: str,
     metrics_port: int | None,
@@ -51,6 +53,7 @@ def act(
             num_envs=envs,
             outbox_steps=outbox_steps,
             evaluates=evaluates,
+            allow_env=tuple(allow_env),
         )
         for index in range(n)
     ]

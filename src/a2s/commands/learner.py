@@ -3,6 +3,7 @@
 import json
 import os
 import secrets
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -312,6 +313,7 @@ def _prepare_process(run: RunConfig) -> None:
 def _banner(run: RunConfig, path: Path, endpoint: str, metrics_url: str) -> str:
     connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
     name = "" if run.run == "default" else f" --run {run.run}"
+    name += "".join(f" --allow-env {shlex.quote(code)}" for code in run.env_config().code)
     is_loopback = any(part in endpoint for part in _LOOPBACK)
     loud = "" if is_loopback else (
         "\n  WARNING     this is not loopback and not encrypted: use it on trusted networks only"

@@ -276,6 +276,11 @@ ReplayConnect = Annotated[str, option(
     _REPLAY, "--connect", metavar="ENDPOINT",
     help="With --replay-from: endpoint of the learner whose replay it is.",
 )]
+AllowEnv = Annotated[list[str] | None, option(
+    None, "--allow-env", metavar="CODE",
+    help="Code that the learner may have it run: a module or FILE.py, with :NAME for no more; may "
+    "be repeated. What Gymnasium knows needs none.",
+)]
 OutboxSteps = Annotated[int, whole_number(
     None, "--outbox-steps", low=1, show_envvar=True,
     help="Steps that each process keeps at most while the learner is away.",

@@ -81,6 +81,7 @@ def train(
         learner += ["--listen", endpoint, "--again", again, *(["--resume"] if resume else [])]
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
+        actor += [word for code in run.env_config().code for word in ("--allow-env", code)]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
         starting = started(learner, out, files=(config.fileno(),))

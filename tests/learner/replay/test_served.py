@@ -14,7 +14,7 @@ from replay_oracle import ENV_ID, SPACES, make_segment
 
 from a2s.learner.replay.remote import RemoteReplay, ServedReplay
 from a2s.learner.replay.replay import Replay
-from a2s.protocol.codec import Message, decode, encode
+from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import MalformedMessageError, RefusedError, UnreachableError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
@@ -127,10 +127,9 @@ def test_what_cannot_be_served_is_refused_with_a_reason(
 def test_who_is_refused_for_now_asks_again() -> None:
     exchange = Exchange()
     info = ReplayInfo(run="r", generation=1, env_id="E", spaces=SPACES, capacity=9, begin=2, end=3)
-    answers: Iterator[Message] = iter(
-        [Refusal(reason="busy", retry_s=0.001), info, Refusal(reason="never")]
-    )
-    InProcessBus(exchange).answer(KEYS.replay_info, lambda _: encode(next(answers)))
+    busy, never = Refusal(reason="busy", retry_s=0.001), Refusal(reason="never")
+    answers = iter([encode(busy), encode(info), encode(never)])
+    InProcessBus(exchange).answer(KEYS.replay_info, lambda _: next(answers))
     remote = RemoteReplay(InProcessBus(exchange), KEYS)
     assert remote.info().end == 3
     with pytest.raises(RefusedError, match="never"):
