@@ -174,7 +174,7 @@ class Members:
         return ""
 
     def join(self, hello: Hello, now_s: float) -> tuple[Member, int]:
-        """Give an actor the place that it asks for, or else the lowest free one.
+        """Give an actor the place that it asks for, of those there may be, or the lowest free one.
 
         One that has a place keeps it. One that comes back after its connection was broken keeps its
         deliveries.
@@ -188,7 +188,7 @@ class Members:
         if member is None:
             taken = {m.slot for m in self._present.values()}
             slot = next(i for i in range(len(taken) + 1) if i not in taken)
-            if hello.slot >= 0 and hello.slot not in taken:
+            if 0 <= hello.slot < _MAX_MEMBERS and hello.slot not in taken:
                 slot = hello.slot
             member = self._away.pop(actor, None)
             if member is None or member.num_envs != num_envs:

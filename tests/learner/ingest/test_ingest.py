@@ -170,6 +170,8 @@ def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_n
     assert run.join("d", slot=1).slot == 3  # it is taken: the lowest free one
     assert run.join("e", slot=9).slot == 9
     assert run.join("f").slot == 4
+    assert run.join("g", slot=4095).slot == 4095
+    assert run.join("h", slot=4096).slot == 5  # a place costs memory, here and in Prometheus
 
 
 def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:
