@@ -50,6 +50,9 @@ class Task:
         evaluates: It is an evaluator, and takes no part in the run.
         allow_env: Code that a learner may have it run, as `require_allowed` takes it.
         cause: Why the process before it in this place was replaced; empty if there was no other.
+        known_as: Name in the certificate, or of the user; the label begins with it.
+        tls: Folder of certificates, as `a2s.protocol.identity.Security` takes it.
+        password_file: File with a password, likewise.
     """
 
     label: str
@@ -61,6 +64,9 @@ class Task:
     evaluates: bool = False
     allow_env: Sequence[str] = ()
     cause: str = ""
+    known_as: str = ""
+    tls: str | None = None
+    password_file: str | None = None
 
 
 class Actor:
@@ -82,21 +88,24 @@ class Actor:
         self._name = f"{task.label}-{uuid.uuid4().hex[:8]}"
         self._task = task
         self._bus = bus
-        self._keys = Keys(task.run)
+        self._keys = keys = Keys(task.run)
+        # Who is known may ask as itself alone; others need not be heard by its name.
+        self._hello_key = keys.hello_of(self._name) if task.known_as else keys.hello
+        segment_key = keys.segment_of(self._name) if task.known_as else keys.segment
         self._metrics = metrics
         self._parent, self._stopped, self._on_failure = parent, parent.stopped, on_failure
         self._troubles = Troubles()
-        self._weights = WeightsClient(bus, self._keys)
+        self._weights = WeightsClient(bus, keys)
         self._joining: Hello | None = None
         self._outbox = Outbox(
-            bus, self._keys.segment, task.outbox_steps, self._weights.hear, self._join_again,
+            bus, segment_key, task.outbox_steps, self._weights.hear, self._join_again,
             metrics,
         )  # fmt: skip
         self._welcome: Welcome | None = None
         self._notice: Notice | None = None
         self._rollout: Rollout | None = None
         self._ended = threading.Event()
-        self._patience = Patience(bus, self._keys, speaks=task.worker == 0)
+        self._patience = Patience(bus, keys, speaks=task.worker == 0, known_as=task.known_as)
 
     def run(self) -> None:
         """Play until stopped.
@@ -228,12 +237,12 @@ class Actor:
         On the sender's thread; when it does not help, the segment is unknown again.
         """
         if self._joining is not None:
-            self._bus.ask(self._keys.hello, encode(self._joining), _ASK_TIMEOUT_S)
+            self._bus.ask(self._hello_key, encode(self._joining), _ASK_TIMEOUT_S)
 
     def _hello(self, hello: Hello) -> Welcome | None:
         payload = encode(hello)
         while self._proceed():
-            reply = self._bus.ask(self._keys.hello, payload, _ASK_TIMEOUT_S)
+            reply = self._bus.ask(self._hello_key, payload, _ASK_TIMEOUT_S)
             if reply is not None:
                 answer = decode(reply, Welcome, Refusal)
                 if isinstance(answer, Refusal):

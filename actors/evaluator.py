@@ -63,7 +63,7 @@ class Evaluator:
         self._name = f"{task.label}-{uuid.uuid4().hex[:8]}"
         self._num_envs, self._bus, self._keys = task.num_envs or _ENVS, bus, Keys(task.run)
         self._metrics, self._parent, self._on_failure = metrics, parent, on_failure
-        self._patience = Patience(bus, self._keys, speaks=task.worker == 0)
+        self._patience = Patience(bus, self._keys, speaks=task.worker == 0, known_as=task.known_as)
         self._config: EnvConfig | None = None
         self._allowed = task.allow_env
         self._environments: list[Environment] = []

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from time import monotonic
 
 from a2s.protocol.codec import decode
+from a2s.protocol.identity import not_heard
 from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import RunStatus
 from a2s.protocol.transport import Bus
@@ -18,13 +19,20 @@ class Patience:
     """Says every ten seconds what a process still waits for.
 
     When the run has ended, that is said once, by the first worker alone (``speaks``), and no more:
-    nobody has to start anything.
+    nobody has to start anything. ``known_as`` is the name that a learner may not let in.
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, *, speaks: bool, clock: Callable[[], float] = monotonic
+        self,
+        bus: Bus,
+        keys: Keys,
+        *,
+        speaks: bool,
+        known_as: str = "",
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self._bus, self._run, self._speaks, self._clock = bus, keys.run, speaks, clock
+        self._help = not_heard("is `a2s learner` running", known_as)
         self._since_s: float | None = None
         self._said_s = 0.0
         self._run_ended = self._has_waited_since = False
@@ -45,7 +53,7 @@ class Patience:
             self._since_s = self._said_s = now_s
         elif now_s - self._said_s >= _SAID_EVERY_S:
             self._said_s = now_s
-            hint = other_runs(self._bus, self._run) or "; is `a2s learner` running?"
+            hint = other_runs(self._bus, self._run) or f"; {self._help}"
             logger.warning("waiting for %s for %.0f s%s", what, now_s - self._since_s, hint)
 
     def _hear(self, payload: bytes) -> None:

@@ -10,7 +10,9 @@ from a2s.actors.environments.faults import Faults
 from a2s.actors.evaluator import Evaluator
 from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.parent import Parent, told
+from a2s.protocol.access import ACTOR
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
+from a2s.protocol.identity import Security
 from a2s.protocol.zenoh_bus import ZenohBus
 
 
@@ -30,7 +32,12 @@ def main() -> None:
     parent.report(metrics.report())
     code = 0
     try:
-        with closing(ZenohBus.connect(task.connect, lambda: not parent.stopped.is_set())) as bus:
+        identity = Security(task.tls, task.password_file).peer(ACTOR)
+
+        def proceed() -> bool:
+            return not parent.stopped.is_set()
+
+        with closing(ZenohBus.connect(task.connect, proceed, identity)) as bus:
             role = Evaluator if task.evaluates else Actor
             actor = role(task, bus, metrics, parent, on_failure)
             actor.run()

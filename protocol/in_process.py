@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from a2s.protocol.transport import Answer, OnMessage, OnPresence
+from a2s.protocol.transport import Answer, AnswerEach, OnEach, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
 
@@ -18,6 +18,7 @@ class Exchange:
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.answers: dict[str, tuple[InProcessBus, Answer]] = {}
+        self.answers_each: dict[str, tuple[InProcessBus, AnswerEach]] = {}
         self.subscribers: list[Declared] = []
         self.presence: dict[str, InProcessBus] = {}
         self.watchers: list[Declared] = []
@@ -35,7 +36,11 @@ class InProcessBus:
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Call the handler of ``key``."""
         found = self._exchange.answers.get(key)
-        return None if found is None else found[1](payload)
+        if found is not None:
+            return found[1](payload)
+        where, _, name = key.rpartition("/")
+        each = self._exchange.answers_each.get(f"{where}/*")
+        return None if each is None else each[1](name, payload)
 
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key``."""
@@ -60,14 +65,26 @@ class InProcessBus:
         with self._exchange.lock:
             self._exchange.answers[key] = (self, enter)
 
+    def answer_each(self, key: str, handler: AnswerEach) -> None:
+        """Answer the questions to all keys of this form."""
+        with self._exchange.lock:
+            self._exchange.answers_each[key] = (self, _guarded(key, handler))
+
     def publish(self, key: str, payload: bytes) -> None:
         """Call every subscriber."""
-        self._call(self._exchange.subscribers, key, payload)
+        self._call(self._exchange.subscribers, key, key, payload)
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
         """Hear what is published on ``key``."""
         with self._exchange.lock:
-            self._exchange.subscribers.append((self, key, _guarded(key, handler)))
+            call = _guarded(key, lambda _, payload: handler(payload))
+            self._exchange.subscribers.append((self, key, call))
+
+    def subscribe_each(self, key: str, handler: OnEach) -> None:
+        """Hear what is published on all keys of this form."""
+        with self._exchange.lock:
+            call = _guarded(key, lambda where, payload: handler(where.rpartition("/")[2], payload))
+            self._exchange.subscribers.append((self, key, call))
 
     def declare_presence(self, key: str) -> None:
         """Be seen under ``key``."""
@@ -100,6 +117,7 @@ class InProcessBus:
         hub = self._exchange
         with hub.lock:
             hub.answers = {k: v for k, v in hub.answers.items() if v[0] is not self}
+            hub.answers_each = {k: v for k, v in hub.answers_each.items() if v[0] is not self}
             hub.subscribers = [s for s in hub.subscribers if s[0] is not self]
             hub.watchers = [w for w in hub.watchers if w[0] is not self]
             gone = [k for k, peer in hub.presence.items() if peer is self]

@@ -8,7 +8,7 @@ from a2s.protocol.fields import NAME, is_name
 from a2s.protocol.transport import Bus
 
 MAJOR = 2
-_ANY_LEARNER = f"a2s/{MAJOR}/*/live/learner"
+ANY_LEARNER = f"a2s/{MAJOR}/*/live/learner"
 _LOOK_S, _MOST_NAMED = 1.0, 5
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -18,7 +18,7 @@ def other_runs(bus: Bus, run: str) -> str:
 
     For the end of a message: ``"; found run 'hop' there, name it with --run"``.
     """
-    found = {key.split("/")[2] for key in bus.present(_ANY_LEARNER, _LOOK_S)} - {run}
+    found = {key.split("/")[2] for key in bus.present(ANY_LEARNER, _LOOK_S)} - {run}
     if not found:
         return ""
     names = ", ".join(map(repr, sorted(found)[:_MOST_NAMED]))
@@ -49,6 +49,14 @@ class Keys:
         self.evaluation_task = f"{prefix}/evaluation/task"  # query: EvaluationRequest -> its Task
         self.evaluation_result = f"{prefix}/evaluation/result"  # query: EvaluationResult
         self.live_learner = f"{prefix}/live/learner"  # liveliness token
+
+    def hello_of(self, actor: str = "*") -> str:
+        """Query, as `hello`: of this actor alone, or of every one."""
+        return f"{self.hello}/{actor}"
+
+    def segment_of(self, actor: str = "*") -> str:
+        """Query, as `segment`: of this actor alone, or of every one."""
+        return f"{self.segment}/{actor}"
 
     def actor_status(self, actor: str = "*") -> str:
         """Publication: the ActorStatus of one actor, or of every one."""

@@ -10,6 +10,9 @@ from typing import Protocol
 Answer = Callable[[bytes], bytes | None]
 OnMessage = Callable[[bytes], None]
 OnPresence = Callable[[str, bool], None]
+# Of keys with a `*`: they get what stands for it, too.
+AnswerEach = Callable[[str, bytes], bytes | None]
+OnEach = Callable[[str, bytes], None]
 
 
 class Bus(Protocol):
@@ -40,12 +43,20 @@ class Bus(Protocol):
         """
         ...
 
+    def answer_each(self, key: str, handler: AnswerEach) -> None:
+        """Answer the questions to all keys of this form, whose last part is ``*``."""
+        ...
+
     def publish(self, key: str, payload: bytes) -> None:
         """Send to everybody who listens to ``key``; it may be lost."""
         ...
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
         """Hear what is published on ``key`` from now on; ``*`` stands for one part of a key."""
+        ...
+
+    def subscribe_each(self, key: str, handler: OnEach) -> None:
+        """Hear what is published on all keys of this form, whose last part is ``*``."""
         ...
 
     def declare_presence(self, key: str) -> None:

@@ -15,12 +15,16 @@ from typing import Any, Literal
 
 import zenoh
 
-from a2s.protocol.errors import A2SError, UnreachableError, UsageError
-from a2s.protocol.transport import Answer, OnMessage, OnPresence
+from a2s.protocol import refusal
+from a2s.protocol.errors import A2SError, RefusedError, UnreachableError, UsageError
+from a2s.protocol.identity import ANYBODY, Identity
+from a2s.protocol.transport import Answer, AnswerEach, OnEach, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
 
 _PATIENCE_S = 10.0
+_REFUSED_WITHIN_S = 1.0
+_OPEN_MS = 2000
 
 _ENDPOINT = re.compile(r"(tcp|tls|quic|ws)/[^/?#]+:(?P<port>\d{1,5})|unixsock-stream/.+")
 
@@ -64,15 +68,16 @@ class ZenohBus:
         self._turns: list[_Turns] = []
 
     @classmethod
-    def listen(cls, endpoint: str) -> "ZenohBus":
+    def listen(cls, endpoint: str, identity: Identity = ANYBODY) -> "ZenohBus":
         """Open the learner's side: a router that listens on ``endpoint``.
 
         Raises:
             UsageError: The endpoint is malformed or taken.
         """
         check_endpoint(endpoint)
+        settings = {"listen/endpoints": [endpoint], **identity.settings}
         try:
-            return cls(zenoh.open(_config("router", {"listen/endpoints": [endpoint]})))
+            return cls(zenoh.open(_config("router", settings)))
         except zenoh.ZError as error:
             raise UsageError(
                 f"cannot listen on {endpoint}: {_reason(error)}; "
@@ -80,28 +85,37 @@ class ZenohBus:
             ) from None
 
     @classmethod
-    def connect(cls, endpoint: str, proceed: Callable[[], bool]) -> "ZenohBus":
+    def connect(
+        cls, endpoint: str, proceed: Callable[[], bool], identity: Identity = ANYBODY
+    ) -> "ZenohBus":
         """Open an actor's side; once open, it finds a restarted learner again by itself.
 
         ``proceed`` is asked after each failed attempt of about a second; if false, give up.
 
         Raises:
             UsageError: The endpoint is malformed.
+            RefusedError: What listens there does not let this peer in.
             UnreachableError: Nobody listens there.
         """
         check_endpoint(endpoint)
         retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
-        config = _config(
-            "client",
-            {"connect/endpoints": [endpoint], "connect/timeout_ms": 1000, "connect/retry": retry},
-        )
+        settings = {
+            "connect/endpoints": [endpoint], "connect/retry": retry, **identity.settings
+        }  # fmt: skip
+        config = _config("client", {**settings, "connect/timeout_ms": 1000})
         begin = said = time.monotonic()
         while True:
             try:
                 return cls(zenoh.open(config))
             except zenoh.ZError:
+                is_awaited = refusal.is_awaited(endpoint)
+                if is_awaited and (session := _once(endpoint, identity, settings)) is not None:
+                    return cls(session)
                 now = time.monotonic()
                 nobody = f"no learner at {endpoint} after {now - begin:.0f} s"
+                if is_awaited:
+                    nobody += ", though something listens there: it may hang"
+                    nobody += "" if identity.folder is None else ", or be without --tls"
                 if not proceed():
                     raise UnreachableError(
                         f"{nobody}; start `a2s learner`, or name its endpoint with --connect"
@@ -123,9 +137,16 @@ class ZenohBus:
 
     def answer(self, key: str, handler: Answer) -> None:
         """Declare a queryable on ``key``."""
+        self.answer_each(key, lambda _, payload: handler(payload))
+
+    def answer_each(self, key: str, handler: AnswerEach) -> None:
+        """Declare a queryable on ``key``; the handler gets the last part of the key that is asked.
+
+        That of a question to many keys is no name.
+        """
 
         def on_query(query: zenoh.Query) -> None:
-            _answer(key, handler, query)
+            _answer(key, lambda payload: handler(_last(query.key_expr), payload), query)
 
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 
@@ -143,10 +164,14 @@ class ZenohBus:
 
     def subscribe(self, key: str, handler: OnMessage) -> None:
         """Declare a subscriber on ``key``."""
+        self.subscribe_each(key, lambda _, payload: handler(payload))
+
+    def subscribe_each(self, key: str, handler: OnEach) -> None:
+        """Declare a subscriber on ``key``; the handler gets the last part of a message's key."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             with _logged(key):
-                handler(bytes(sample.payload))
+                handler(_last(sample.key_expr), bytes(sample.payload))
 
         self._declared.append(self._session.declare_subscriber(key, on_sample))
 
@@ -221,6 +246,32 @@ def _answer(key: str, handler: Answer, query: zenoh.Query) -> None:
             query.reply(query.key_expr, answer)
 
 
+def _once(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.Session | None:
+    """Try once, where something listens: zenoh fails at once if it is not let in.
+
+    ``None``: what listens does not answer.
+
+    Raises:
+        RefusedError: It does, with what is known of the reason.
+    """
+    begin = time.monotonic()
+    try:
+        return zenoh.open(
+            _config("client", {**settings, "transport/unicast/open_timeout": _OPEN_MS})
+        )
+    except zenoh.ZError:
+        is_refused = time.monotonic() - begin < _REFUSED_WITHIN_S
+    if found := refusal.why(endpoint, identity):
+        raise RefusedError(f"{endpoint}: {found}")
+    if is_refused and identity.folder is None:
+        who = f"user {identity.name!r} with this password" if identity.name else "this peer"
+        raise RefusedError(
+            f"{endpoint}: what listens there does not let {who} in; expected a learner with the "
+            "same line in its --password-file, or without one for a peer without one"
+        )
+    return None
+
+
 @contextmanager
 def _logged(key: str) -> Iterator[None]:
     try:
@@ -229,6 +280,10 @@ def _logged(key: str) -> Iterator[None]:
         logger.error("%s", error)  # noqa: TRY400  # its one line says all
     except Exception:  # zenoh's thread would print it and go on; it belongs in our log
         logger.exception("handler failed key=%s", key)
+
+
+def _last(key: zenoh.KeyExpr) -> str:
+    return str(key).rpartition("/")[2]
 
 
 def check_endpoint(endpoint: str) -> None:

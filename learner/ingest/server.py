@@ -53,12 +53,14 @@ class Server(Feed):
         bus.answer(keys.notice, lambda _: self._give_newest()[0])
         bus.answer(keys.weights, lambda _: self._give_newest()[1])
         bus.answer(keys.hello, self._on_hello)
+        bus.answer_each(keys.hello_of(), lambda name, payload: self._on_hello(payload, name))
         bus.answer(keys.hello_of_major_1, lambda _: self._on_hello_of_major_1())
         bus.answer(keys.segment, self._on_segment)
+        bus.answer_each(keys.segment_of(), lambda name, payload: self._on_segment(payload, name))
         bus.answer(keys.evaluation_task, self._on_evaluation_request)
         bus.answer(keys.evaluation_result, self._on_evaluation_result)
         bus.answer(keys.status, lambda _: encode(status()))
-        bus.subscribe(keys.actor_status(), self._on_actor_status)
+        bus.subscribe_each(keys.actor_status(), self._on_actor_status)
         bus.declare_presence(keys.live_learner)
 
     def publish(self, make_graph: Callable[[int], bytes], version: int, epoch: int) -> None:
@@ -112,9 +114,10 @@ class Server(Feed):
         with self._lock:
             return self._newest
 
-    def _on_hello(self, payload: bytes) -> bytes | None:
+    def _on_hello(self, payload: bytes, name: str | None = None) -> bytes | None:
         try:
             hello = decode(payload, Hello)
+            _require_own(hello.actor, name)
         except MalformedMessageError as error:
             return encode(self._ingest.refuse("hello", _cause(error), str(error)))
         answer = self._ingest.hello(hello)
@@ -124,16 +127,18 @@ class Server(Feed):
         self._ingest.refuse("hello", "schema", "an actor of protocol 1")
         return refuse_major_1()
 
-    def _on_segment(self, payload: bytes) -> bytes:
+    def _on_segment(self, payload: bytes, name: str | None = None) -> bytes:
         try:
             segment = decode(payload, Segment)
+            _require_own(segment.actor, name)
         except MalformedMessageError as error:
             return encode(self._ingest.refuse_segment(_cause(error), str(error)))
         return encode(self._ingest.segment(segment))
 
-    def _on_actor_status(self, payload: bytes) -> None:
+    def _on_actor_status(self, name: str, payload: bytes) -> None:
         try:
             status = decode(payload, ActorStatus)
+            _require_own(status.actor, name)
         except MalformedMessageError as error:
             self._ingest.refuse("status", _cause(error), str(error))
             return
@@ -161,6 +166,16 @@ class Server(Feed):
         else:
             self._ingest.gone(name)
             self._evaluations.gone(name)
+
+
+def _require_own(actor: str, name: str | None) -> None:
+    """Refuse an actor that speaks for another: rules of access are about keys (docs/security.md).
+
+    Raises:
+        MalformedMessageError: It does.
+    """
+    if name not in (None, actor):
+        raise MalformedMessageError(f"actor: found {actor!r} under the key of {name!r}")
 
 
 def _cause(error: MalformedMessageError) -> str:

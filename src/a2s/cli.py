@@ -12,6 +12,7 @@ from a2s import __version__
 from a2s.commands import groups, options, replay_cli, run_cli
 from a2s.commands.process import EXIT_FAILED, end_on_signals, open_standard_streams
 from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
 EXIT_USAGE = 2
@@ -52,6 +53,8 @@ def actor(
     envs: options.Envs = None,
     run: options.Run = None,
     connect: options.Connect = DEFAULT_ENDPOINT,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
     evaluate: options.Evaluate = False,
     allow_env: options.AllowEnv = None,
     outbox_steps: options.OutboxSteps = 65_536,
@@ -68,6 +71,7 @@ def actor(
             envs=envs,
             run=run or "default",
             connect=connect,
+            security=Security(tls, password_file),
             evaluates=evaluate,
             allow_env=allow_env or (),
             outbox_steps=spool_steps or outbox_steps,
@@ -88,6 +92,8 @@ def status(
     ] = None,
     run: options.Run = None,
     connect: options.MaybeConnect = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
     watch: Annotated[bool, typer.Option("--watch", help="Every second, until its end.")] = False,
     json_: options.Json = False,
 ) -> None:
@@ -101,7 +107,10 @@ def status(
             raise UsageError(f"a2s status: found {directory} and --run or --connect, expected one")
         run, connect = where(directory)
     with stop_on_signals() as stop:
-        look(run or "default", connect or DEFAULT_ENDPOINT, watch=watch, as_json=json_, stop=stop)
+        look(
+            run or "default", connect or DEFAULT_ENDPOINT, Security(tls, password_file),
+            watch=watch, as_json=json_, stop=stop,
+        )  # fmt: skip
 
 
 @app.command()
@@ -146,12 +155,14 @@ def doctor(
         options.option(None, "--connect", metavar="ENDPOINT", help="A learner that must answer."),
     ] = None,
     run: options.Run = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
     json_: options.Json = False,
 ) -> None:
     """Check this machine and the way to the learner, or a run; say how to mend what is wrong."""
     from a2s.commands.doctor import examine, line
 
-    looks = examine(connect, run or "default")
+    looks = examine(connect, run or "default", Security(tls, password_file))
     if run_dir is not None:
         from a2s.commands.doctor_run import examine_run
 
@@ -164,6 +175,46 @@ def doctor(
     if json_:
         typer.echo(json.dumps([finding._asdict() for finding in findings]))
     raise typer.Exit(EXIT_FAILED if any(each.state == "fail" for each in findings) else 0)
+
+
+@app.command()
+def certs(
+    folder: Annotated[Path, typer.Argument(help="Folder of the authority.")] = Path("certs"),
+    host: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--host",
+            metavar="HOST",
+            help="Name or address of the learner's machine; may be repeated.",
+        ),
+    ] = None,
+    actor: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--actor", metavar="NAME", help="A certificate for some actors alone; repeatable."
+        ),
+    ] = None,
+    viewer: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--viewer", metavar="NAME", help="A certificate for one viewer alone; repeatable."
+        ),
+    ] = None,
+    days: Annotated[
+        int,
+        options.whole_number(
+            None, "--days", low=1, high=3650, envvar=None, help="Days that they are valid."
+        ),
+    ] = 365,
+) -> None:
+    """Make certificates, for --tls: of the learner, of actors, and of who only looks.
+
+    Called again it makes what is missing, and anew what expires within 30 days.
+    """
+    from a2s.commands.certs import make
+
+    for line in make(folder, host or [], actor or [], viewer or [], days):
+        typer.echo(line)
 
 
 @app.command()

@@ -67,3 +67,17 @@ def test_who_waits_for_a_run_of_another_name_is_told_those_that_are_there(
     _wait(Patience(bus, KEYS, speaks=True, clock=lambda: float(next(seconds))))
     there = "found runs 'hopp', 'walk' there, name it with --run"
     assert caplog.messages == [f"waiting for an answer for 10 s; {there}"]
+
+
+def test_a_peer_with_a_name_is_told_that_it_may_not_be_let_in(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """What is not allowed is not answered: that looks like a learner that is not there."""
+    patience = Patience(
+        InProcessBus(Exchange()), KEYS, speaks=True, known_as="actor-x", clock=count().__next__
+    )
+    _wait(patience)
+    assert caplog.messages == [
+        "waiting for an answer for 10 s; is `a2s learner` running, and is 'actor-x' one of the "
+        "names that it lets in?"
+    ]

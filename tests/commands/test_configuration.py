@@ -136,6 +136,8 @@ def test_a_file_with_a_mistake_gets_one_line(
     ("command", "typed"),
     [
         ("learner", ["--listen", "tcp/0.0.0.0:7447", "--metrics-port", "0", "--seed", "3"]),
+        ("learner", ["--listen", "tcp/0.0.0.0:7447", "--tls", "my certs", "--insecure"]),
+        ("train", ["--password-file", "users"]),
         ("learner", ["--replay-from", "runs/an other", "--connect", "tcp/far:7447"]),
         ("train", ["--run", "mine", "--weights", "best", "--episodes", "3", "--json"]),
     ],

@@ -1,13 +1,16 @@
 """``a2s train`` refuses a directory before it starts anything, and advises what can be done."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from a2s.commands import train as train_command
 from a2s.commands.train import train
 from a2s.learner.run.config import assemble
 from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.identity import Security
 
 
 def _train(path: Path, *, resume: bool = False) -> int:
@@ -15,6 +18,7 @@ def _train(path: Path, *, resume: bool = False) -> int:
         assemble({"env": "a2s_test_envs:Reach-v0"}, {}),
         path,
         listen=None,
+        security=Security(),
         metrics_port=-1,
         resume=resume,
         as_json=False,
@@ -41,6 +45,18 @@ def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) ->
     with claimed(tmp_path), pytest.raises(RunDirectoryError, match=r"is at work there; stop it$"):
         _train(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["lock"]
+
+
+def test_what_it_starts_takes_no_password_from_the_variable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is for a learner elsewhere; the one that is started here would refuse it."""
+    monkeypatch.setenv("A2S_PASSWORD", "actor:secret")
+    program = "import os; print('A2S_PASSWORD' in os.environ)"
+    monkeypatch.setattr(train_command, "PROGRAM", (sys.executable, "-c", program))
+    with (tmp_path / "a.log").open("w") as out, train_command.started([], out) as process:
+        assert process.wait(30.0) == 0
+    assert (tmp_path / "a.log").read_text() == "False\n"
 
 
 @pytest.mark.slow

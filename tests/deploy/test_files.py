@@ -42,7 +42,7 @@ def test_what_the_image_copies_exists_and_is_sent_to_the_builder(root: Path) -> 
 
 
 def test_nothing_is_published_beyond_this_machine(services: Any) -> None:
-    """The link has no encryption, and Grafana no password worth the name."""
+    """The learner listens --insecure, and Grafana has no password worth the name."""
     assert set(services) == {"learner", "actor", "prometheus", "grafana"}
     for name, service in services.items():
         assert "network_mode" not in service, name

@@ -92,6 +92,7 @@ def test_the_page_has_the_messages_and_keys_that_exist_and_no_others() -> None:
     keys = Keys("RUN")
     named = {key for name, key in vars(keys).items() if name not in ("run", "_prefix")}
     named |= {keys.actor_status("ACTOR"), keys.live_actor("ACTOR")}
+    named |= {keys.hello_of("ACTOR"), keys.segment_of("ACTOR")}
     assert {row[0] for row in rows(section("Keys"))} == named
     assert [row[0] for row in rows(section("Sending"))] == list(typing.get_args(Verdict))
 

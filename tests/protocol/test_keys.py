@@ -17,13 +17,13 @@ def of_version_2(keys: Keys, actor: str) -> list[str]:
     return [
         keys.hello, keys.segment, keys.notice, keys.weights, keys.recovery,
         keys.actor_status(actor), keys.status, keys.replay_info, keys.replay_sample,
-        keys.live_learner, keys.live_actor(actor),
+        keys.live_learner, keys.live_actor(actor), keys.hello_of(actor), keys.segment_of(actor),
     ]  # fmt: skip
 
 
 REST = [
     "hello", "segment", "notice", "weights", "recovery", "actor/*", "status", "replay/info",
-    "replay/sample", "live/learner", "live/actor/*",
+    "replay/sample", "live/learner", "live/actor/*", "hello/*", "segment/*",
 ]  # fmt: skip
 
 

@@ -15,6 +15,8 @@ from a2s.commands.process import (
     serve_on,
     stop_on_signals,
 )
+from a2s.protocol.access import ACTOR
+from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
 from a2s.protocol.zenoh_bus import check_endpoint
 
@@ -25,6 +27,7 @@ def act(
     envs: int | None,
     run: str,
     connect: str,
+    security: Security,
     evaluates: bool,
     allow_env: Sequence[str],
     outbox_steps: int,
@@ -42,11 +45,14 @@ def act(
     outlast_streams()
     log_warnings()
     Keys(run)
+    connect = security.endpoint(connect)
     check_endpoint(connect)
+    known_as = security.peer(ACTOR).name
     host = "".join(c if c.isalnum() or c in "-_" else "-" for c in socket.gethostname())[:40]
     tasks = [
         Task(
-            label=f"{host or 'host'}-{index}",
+            # Others may not speak under names that begin so (docs/security.md).
+            label=f"{known_as}{'.' if known_as else ''}{host or 'host'}-{index}",
             worker=index,
             connect=connect,
             run=run,
@@ -54,6 +60,9 @@ def act(
             outbox_steps=outbox_steps,
             evaluates=evaluates,
             allow_env=tuple(allow_env),
+            known_as=known_as,
+            tls=security.tls,
+            password_file=security.password_file,
         )
         for index in range(n)
     ]

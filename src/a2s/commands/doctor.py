@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -18,8 +19,16 @@ from a2s.actors.check import check
 from a2s.commands.process import ACTOR_METRICS_PORT, LEARNER_METRICS_PORT
 from a2s.commands.rendering import HELP, find_backend
 from a2s.commands.status import ask
+from a2s.protocol.access import ACTOR, LEARNER, VIEWER
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import A2SError, MalformedMessageError, UnreachableError
+from a2s.protocol.errors import (
+    A2SError,
+    MalformedMessageError,
+    RefusedError,
+    UnreachableError,
+    UsageError,
+)
+from a2s.protocol.identity import Identity, Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys, other_runs
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -28,6 +37,7 @@ _TRIED = "Hopper-v5"
 _LEAST_FREE, _FEW_FREE = 200e6, 2e9
 _LEAST_MEMORY = 2e9
 _MOST_SKEW_S = 5.0
+_EXPIRES_SOON = timedelta(days=30)
 _REACH_S, _ASKED = 2.0, 5
 
 
@@ -40,7 +50,7 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def examine(connect: str | None, run: str) -> Iterator[Finding]:
+def examine(connect: str | None, run: str, security: Security) -> Iterator[Finding]:
     """Make all checks; those that take long come last."""
     yield _python()
     yield _packages()
@@ -48,7 +58,7 @@ def examine(connect: str | None, run: str) -> Iterator[Finding]:
     yield _memory()
     yield _disk(Path.cwd())
     yield from _ports()
-    yield from _learner(connect, run)
+    yield from _security(security, connect, run)
     yield _environments()
     yield _rendering()
 
@@ -157,14 +167,45 @@ def port(number: int, remedy: str) -> Finding:
     return Finding("port", "ok", f"{number} is free")
 
 
-def _learner(connect: str | None, run: str) -> Iterator[Finding]:
-    """Go the way to the learner step by step; without ``connect`` there need be none."""
-    endpoint = connect or DEFAULT_ENDPOINT
+def _security(security: Security, connect: str | None, run: str) -> Iterator[Finding]:
+    """Look at the certificate or user, then go the way to the learner."""
     try:
-        bus = ZenohBus.connect(endpoint, lambda: False)
+        endpoint = security.endpoint(connect or DEFAULT_ENDPOINT)
+        identity = security.peer(VIEWER, ACTOR, LEARNER)
+    except UsageError as error:
+        found, _, remedy = str(error).rpartition("; ")
+        yield Finding("identity", "fail", found or remedy, remedy if found else "")
+        return
+    if identity.folder is not None:
+        yield certificate(identity.folder, datetime.now(UTC))
+    elif identity.name:
+        yield Finding("identity", "ok", f"user {identity.name}")
+    yield from _learner(endpoint, identity, run, is_needed=connect is not None)
+
+
+def certificate(folder: Path, now: datetime) -> Finding:
+    """Look how long a certificate is valid."""
+    from a2s.protocol.certificates import read
+
+    held = read(folder, now)
+    found = f"{held.name}, a certificate until {held.expires:%Y-%m-%d}"
+    if held.expires - now < _EXPIRES_SOON:
+        remedy = "make a new one with `a2s certs` where the authority is, and copy it here"
+        return Finding("identity", "note", found, remedy)
+    return Finding("identity", "ok", found)
+
+
+def _learner(endpoint: str, identity: Identity, run: str, *, is_needed: bool) -> Iterator[Finding]:
+    """Go the way to the learner step by step."""
+    try:
+        bus = ZenohBus.connect(endpoint, lambda: False, identity)
+    except RefusedError as error:
+        found, _, remedy = str(error).rpartition("; ")
+        yield Finding("learner", "fail", found, remedy)
+        return
     except UnreachableError:
         remedy = f"start `a2s learner` there, with --listen; {_reach(endpoint)}"
-        state: State = "fail" if connect else "note"
+        state: State = "fail" if is_needed else "note"
         yield Finding("learner", state, f"none at {endpoint}", remedy)
         return
     waits_s = []

@@ -42,13 +42,13 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
 from a2s.learner.run.writing import write_atomically
+from a2s.protocol.access import ACTOR, LEARNER, VIEWER
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.generations import MARK_BITS
+from a2s.protocol.identity import Security, is_local
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
-from a2s.protocol.zenoh_bus import ZenohBus
-
-_LOOPBACK = ("/127.", "/localhost:", "/[::1]:", "unixsock-stream/")
+from a2s.protocol.zenoh_bus import ZenohBus, check_endpoint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +121,9 @@ class Place:
         return stop.exit_code
 
 
-def learn(configuration: Configuration, place: Place, listen: str | None) -> int:
+def learn(
+    configuration: Configuration, place: Place, listen: str | None, security: Security
+) -> int:
     """Run a learner to its end.
 
     Returns:
@@ -130,12 +132,17 @@ def learn(configuration: Configuration, place: Place, listen: str | None) -> int
     Raises:
         A2SError: The user asked for something impossible, or the run cannot go on.
     """
-    run, endpoint = configuration.run, listen or DEFAULT_ENDPOINT
+    run, endpoint = configuration.run, security.endpoint(listen or DEFAULT_ENDPOINT)
+    check_endpoint(endpoint)
+    identity = security.listener(Keys(run.run), endpoint)
     described, stop = prepare(configuration, place.out)
     if described is None:
         return stop.exit_code
-    with closing(ZenohBus.listen(endpoint)) as bus, place.opened(run) as (stop, metrics, url):
-        typer.echo(_banner(run, place.path, endpoint, url), place.out)
+    with (
+        closing(ZenohBus.listen(endpoint, identity)) as bus,
+        place.opened(run) as (stop, metrics, url),
+    ):
+        typer.echo(_banner(run, place.path, endpoint, security, url), place.out)
         title = f"{run.run}: {run.algo} on {run.env}"
         with closing(make_view(title, quiet=place.as_json)) as view:
             try:
@@ -200,7 +207,13 @@ def _compile(hyper: Hyper, out: TextIO) -> None:
 
 
 def learn_from(
-    configuration: Configuration, place: Place, source: str, *, env: str | None, connect: str
+    configuration: Configuration,
+    place: Place,
+    source: str,
+    *,
+    env: str | None,
+    connect: str,
+    security: Security,
 ) -> int:
     """Learn from the replay of another run, without actors.
 
@@ -222,7 +235,7 @@ def learn_from(
         raise UsageError("--evaluate-every: found with --replay-from, which no evaluator can join")
     _prepare_process(configuration.run)
     with ExitStack() as stack:
-        replay, about, size, max_size = source_of(source, connect, stack, hyper)
+        replay, about, size, max_size = source_of(source, connect, security, stack, hyper)
         if env not in (None, about.env_id):
             raise UsageError(
                 f"--env: found {env}, expected {about.env_id}, as the replay of {source}"
@@ -256,7 +269,7 @@ def learn_from(
 
 
 def source_of(
-    source: str, connect: str, stack: ExitStack, hyper: OffPolicyConfig
+    source: str, connect: str, security: Security, stack: ExitStack, hyper: OffPolicyConfig
 ) -> tuple[AnyReplay, Description | ReplayInfo, Callable[[], int], int]:
     """Open the replay of a run.
 
@@ -289,7 +302,8 @@ def source_of(
                 f"{name}: found {found}, expected at most {most} from a replay over the network; "
                 "set less, or name a run directory"
             )
-    bus = stack.enter_context(closing(ZenohBus.connect(connect, lambda: False)))
+    endpoint, identity = security.endpoint(connect), security.peer(LEARNER, VIEWER)
+    bus = stack.enter_context(closing(ZenohBus.connect(endpoint, lambda: False, identity)))
     remote = RemoteReplay(bus, Keys(source))
 
     def size() -> int:
@@ -310,12 +324,16 @@ def _prepare_process(run: RunConfig) -> None:
     keep_freed_memory()
 
 
-def _banner(run: RunConfig, path: Path, endpoint: str, metrics_url: str) -> str:
+def _banner(run: RunConfig, path: Path, endpoint: str, security: Security, metrics_url: str) -> str:
     connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
     name = "" if run.run == "default" else f" --run {run.run}"
     name += "".join(f" --allow-env {shlex.quote(code)}" for code in run.env_config().code)
-    is_loopback = any(part in endpoint for part in _LOOPBACK)
-    loud = "" if is_loopback else (
+    if security.tls is not None:
+        # The folder of the authority has one for actors in it.
+        connect += f" --tls {security.tls if (Path(security.tls) / ACTOR).is_dir() else 'DIR'}"
+    elif security.password_file is not None:
+        connect += " --password-file FILE"
+    loud = "" if security.tls is not None or is_local(endpoint) else (
         "\n  WARNING     this is not loopback and not encrypted: use it on trusted networks only"
     )  # fmt: skip
     evaluated = f"\n  evaluate it a2s actor --evaluate{connect}{name}" if run.evaluate_every else ""

@@ -51,7 +51,12 @@ def words(context: typer.Context, given: dict[str, Any]) -> list[str]:
     """Write options from `named` back as words of a command line."""
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     values = {n: v if isinstance(v, tuple) else (v,) for n, v in given.items() if v is not None}
-    return [word for n, many in values.items() for v in many for word in (options[n], str(v))]
+    return [
+        word
+        for n, many in values.items()
+        for v in many
+        for word in ([options[n]] if v is True else [options[n], str(v)])
+    ]
 
 
 def option(panel: str | None, *names: str, **settings: Any) -> Any:
@@ -241,6 +246,19 @@ Threads = Annotated[int | None, whole_number(
 Device = Annotated[str | None, option(
     _PLACE, "--device", metavar="cpu|cuda", show_default="cpu",
     help="Where the learner's networks are, off-policy: cpu or cuda.",
+)]
+Tls = Annotated[str | None, option(
+    _PLACE, "--tls", metavar="DIR",
+    help="Encrypt, and show a certificate: of this folder, or of the one in it for this command. "
+    "`a2s certs` makes them.",
+)]
+PasswordFile = Annotated[str | None, option(
+    _PLACE, "--password-file", metavar="FILE",
+    help="Instead of --tls: file with a line USER:PASSWORD; the learner's has one for each user.",
+)]
+Insecure = Annotated[bool, option(
+    _PLACE, "--insecure",
+    help="Listen where others can reach it, with neither --tls nor --password-file.",
 )]
 Listen = Annotated[str | None, option(
     _PLACE, "--listen", metavar="ENDPOINT", show_default="tcp/127.0.0.1:7447",

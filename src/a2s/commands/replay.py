@@ -13,14 +13,16 @@ from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.replay.sampling import Transitions
 from a2s.learner.run.config import read
 from a2s.learner.run.directory import CONFIG
+from a2s.protocol.access import LEARNER, VIEWER
 from a2s.protocol.errors import UsageError
 from a2s.protocol.generations import start_of
+from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
 from a2s.protocol.replay_messages import COLUMNS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus
 
 
-def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
+def info(path: Path | None, connect: str | None, security: Security, run: str) -> dict[str, Any]:
     """Describe a replay: of a run or replay directory, or of a run served at an endpoint.
 
     Returns:
@@ -36,14 +38,20 @@ def info(path: Path | None, connect: str | None, run: str) -> dict[str, Any]:
         found = _describe(replay.about, live.start, live.stop)
         source = {"source": replay.about.source} if replay.about.source else {}
         return {**found, "torn_records": replay.torn_records, **source}
-    with _served(connect, run) as served:
+    with _served(connect, security, run) as served:
         told = served.info()
     found = _describe(told, told.begin, told.end)
     return {**found, "run": told.run, "generation": start_of(told.generation)}
 
 
 def sample(
-    path: Path | None, connect: str | None, run: str, batch_size: int, seed: int, **how: Any
+    path: Path | None,
+    connect: str | None,
+    security: Security,
+    run: str,
+    batch_size: int,
+    seed: int,
+    **how: Any,
 ) -> Transitions:
     """Draw a batch from the replay that `info` describes; ``how`` is as `Replay.sample` takes it.
 
@@ -54,7 +62,7 @@ def sample(
     rng = np.random.default_rng(seed)
     if (stored := _directory(path, connect)) is not None:
         return directory.look_at(stored, alpha=_exponent(stored)).sample(batch_size, rng, **how)
-    with _served(connect, run) as served:
+    with _served(connect, security, run) as served:
         return served.sample(batch_size, rng, **how)
 
 
@@ -89,9 +97,10 @@ def _directory(path: Path | None, connect: str | None) -> Path | None:
 
 
 @contextmanager
-def _served(connect: str | None, run: str) -> Iterator[RemoteReplay]:
+def _served(connect: str | None, security: Security, run: str) -> Iterator[RemoteReplay]:
     assert connect is not None
-    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+    endpoint, identity = security.endpoint(connect), security.peer(VIEWER, LEARNER)
+    with closing(ZenohBus.connect(endpoint, lambda: False, identity)) as bus:
         yield RemoteReplay(bus, Keys(run))
 
 

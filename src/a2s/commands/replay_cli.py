@@ -8,6 +8,7 @@ import typer
 
 from a2s.commands import options
 from a2s.commands.options import option, whole_number
+from a2s.protocol.identity import Security
 
 app = typer.Typer(no_args_is_help=True, help="Look into a replay; export or import one.")
 
@@ -24,13 +25,15 @@ Served = Annotated[
 def info(
     run_dir: Stored = None,
     connect: Served = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
     run: options.Run = None,
     json_: options.Json = False,
 ) -> None:
     """Say what a replay holds: of a run directory, or of a running learner."""
     from a2s.commands import replay
 
-    found = replay.info(run_dir, connect, run or "default")
+    found = replay.info(run_dir, connect, Security(tls, password_file), run or "default")
     lines = [f"{name:<13}{value}" for name, value in found.items()]
     typer.echo(json.dumps(found) if json_ else "\n".join(lines))
 
@@ -39,6 +42,8 @@ def info(
 def sample(
     run_dir: Stored = None,
     connect: Served = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
     run: options.Run = None,
     batch_size: Annotated[
         int,
@@ -62,7 +67,7 @@ def sample(
     from a2s.commands import replay
 
     batch = replay.sample(
-        run_dir, connect, run or "default", batch_size, seed or 0,
+        run_dir, connect, Security(tls, password_file), run or "default", batch_size, seed or 0,
         n_step=n_step, gamma=gamma, prioritised=prioritised,
     )  # fmt: skip
     arrays = replay.as_arrays(batch)

@@ -10,6 +10,7 @@ import typer
 from a2s.commands import options
 from a2s.commands.groups import RUN, taking
 from a2s.protocol.errors import UsageError
+from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
 
 if TYPE_CHECKING:
@@ -17,9 +18,8 @@ if TYPE_CHECKING:
 
 
 _NOT_OF_THE_RUN = (
-    "listen", "metrics_port", "metrics_host", "replay_from", "replay_journal",
-    "connect",
-    "episodes", "mode", "weights",
+    "listen", "tls", "password_file", "insecure", "metrics_port", "metrics_host", "replay_from",
+    "replay_journal", "connect", "episodes", "mode", "weights",
 )  # fmt: skip
 
 
@@ -32,6 +32,9 @@ def learner(
     settings: options.Set = None,
     print_config: options.PrintConfig = False,
     listen: options.Listen = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
+    insecure: options.Insecure = False,
     metrics_port: options.MetricsPort = None,
     metrics_host: options.MetricsHost = options.LOOPBACK,
     replay_from: options.ReplayFrom = None,
@@ -64,14 +67,17 @@ def learner(
         as_json=json_,
         again=again or again_by(context, path),
     )
+    security = Security(tls, password_file, insecure)
     if replay_journal:
         from a2s.commands.repeat import repeat
 
         code = repeat(configuration, place, Path(replay_journal))
     elif replay_from is None:
-        code = learn(configuration, place, listen)
+        code = learn(configuration, place, listen, security)
     else:
-        code = learn_from(configuration, place, replay_from, env=given["env"], connect=connect)
+        code = learn_from(
+            configuration, place, replay_from, env=given["env"], connect=connect, security=security
+        )
     raise typer.Exit(code)
 
 
@@ -84,6 +90,9 @@ def train(
     settings: options.Set = None,
     print_config: options.PrintConfig = False,
     listen: options.Listen = None,
+    tls: options.Tls = None,
+    password_file: options.PasswordFile = None,
+    insecure: options.Insecure = False,
     metrics_port: options.MetricsPort = None,
     episodes: options.Episodes = 10,
     mode: options.Mode = "mean",
@@ -101,6 +110,7 @@ def train(
             configuration,
             path,
             listen=listen,
+            security=Security(tls, password_file, insecure),
             metrics_port=metrics_port,
             resume=resume,
             as_json=json_,

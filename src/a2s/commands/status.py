@@ -16,9 +16,11 @@ from a2s.learner.numerals import written
 from a2s.learner.run import config as configuration
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.run_config import COUNTED
+from a2s.protocol.access import ACTOR, LEARNER, VIEWER
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.generations import start_of
+from a2s.protocol.identity import Security, not_heard
 from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import ActorStatus, RunStatus
 from a2s.protocol.transport import Bus
@@ -29,7 +31,15 @@ _EVERY_S = 1.0
 _CLEAR = "\x1b[H\x1b[2J"
 
 
-def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threading.Event) -> None:
+def status(
+    run: str,
+    connect: str,
+    security: Security,
+    *,
+    watch: bool,
+    as_json: bool,
+    stop: threading.Event,
+) -> None:
     """Print what the learner of a run tells of it; with ``watch`` every second, while it is there.
 
     Raises:
@@ -37,12 +47,12 @@ def status(run: str, connect: str, *, watch: bool, as_json: bool, stop: threadin
     """
     keys = Keys(run)
     is_terminal = typer.get_text_stream("stdout").isatty()
-    with closing(ZenohBus.connect(connect, lambda: False)) as bus:
+    connect, identity = security.endpoint(connect), security.peer(VIEWER, LEARNER, ACTOR)
+    with closing(ZenohBus.connect(connect, lambda: False, identity)) as bus:
         told = ask(bus, keys)
         if told is None:
-            hint = other_runs(bus, run) or (
-                "; name another with --run, or look whether its learner is up"
-            )
+            is_up = not_heard("is its learner up", identity.name)
+            hint = other_runs(bus, run) or f"; name another with --run: {is_up}"
             raise UnreachableError(f"{connect}: no answer for run {run!r}{hint}")
         while not stop.is_set():
             text = json.dumps(_as_json(told)) if as_json else "\n".join(page(told))

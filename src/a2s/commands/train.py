@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -33,7 +34,12 @@ from a2s.commands.process import (
 from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
+from a2s.protocol import passwords
+from a2s.protocol.access import ACTOR
 from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.identity import Security
+from a2s.protocol.keys import Keys
+from a2s.protocol.zenoh_bus import check_endpoint
 
 _POLL_S = 0.05
 _STOP_S = 30.0
@@ -50,6 +56,7 @@ def train(
     path: Path,
     *,
     listen: str | None,
+    security: Security,
     metrics_port: int | None,
     resume: bool,
     as_json: bool,
@@ -72,16 +79,21 @@ def train(
     run = configuration.run
     outlast_streams()
     out = sys.stderr if as_json else sys.stdout
-    endpoint = listen or free_endpoint()
+    endpoint = security.endpoint(listen or free_endpoint())
+    check_endpoint(endpoint)
+    security.listener(Keys(run.run), endpoint)
+    security.peer(ACTOR)
     # Without a name: nothing is left of it, however this process ends.
     with tempfile.TemporaryFile("w+") as config, stop_on_signals() as stop:
         config.write(configuration.to_toml())
         config.flush()
         learner = ["learner", "--config", f"/dev/fd/{config.fileno()}", "--run-dir", str(path)]
-        learner += ["--listen", endpoint, "--again", again, *(["--resume"] if resume else [])]
+        learner += ["--listen", endpoint, *security.words(), "--again", again]
+        learner += ["--resume"] if resume else []
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += [word for code in run.env_config().code for word in ("--allow-env", code)]
+        actor += replace(security, insecure=False).words()
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
         starting = started(learner, out, files=(config.fileno(),))
@@ -182,7 +194,8 @@ def started(
 ) -> Iterator[Process]:
     """Run a command as long as the block lasts, in a process group of its own.
 
-    It shares the open ``files``. Ctrl-C reaches only this process, which ends it cleanly.
+    It shares the open ``files``, and has no password but that of a file: a learner without users
+    refuses one. Ctrl-C reaches only this process, which ends it cleanly.
     """
     libc = ctypes.CDLL(None)
 
@@ -196,6 +209,7 @@ def started(
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
         pass_fds=files,
+        env={name: value for name, value in os.environ.items() if name != passwords.VARIABLE},
         preexec_fn=begin,
     )
     try:
