@@ -13,6 +13,7 @@ from a2s.learner.feed import Arrival, Feed
 from a2s.learner.ingest.clock import clock_of
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.journal import Journal
+from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.directory import RunDirectory, write_summary
 from a2s.learner.run.episode_log import EpisodeLog
@@ -57,6 +58,7 @@ class Learner:
         evaluations: Evaluations,
         past: Feed | None = None,
         journal: Journal | None = None,
+        ledger: Ledger | None = None,
         env_steps: int,
         path: Path,
         kind: str,
@@ -69,7 +71,9 @@ class Learner:
         self._status = status = Status(run)
         columns = (*POSITION, *trainer.columns)
         self._directory = directory = RunDirectory(path, columns, lambda: status.wall_s)
-        self._saver = Saver(trainer, status, directory, metrics, kind, spaces.obs_offset, journal)
+        self._saver = Saver(
+            trainer, status, directory, metrics, kind, spaces.obs_offset, journal, ledger
+        )  # fmt: skip
         if saved is None:
             self._saver.save()
         else:

@@ -68,7 +68,8 @@ def make_learner(
     if saved is not None:
         spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
     metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
-    ledger, evaluations = Ledger(path / "segments.log"), Evaluations()
+    known = None if saved is None else saver.ledger_mark(saved[1])
+    ledger, evaluations = Ledger(path / "segments.log", known), Evaluations()
     journal, records = _journal(path, ledger, saved)
     trainer: Trainer
     store: OwnReplay | OnPolicyTrainer
@@ -103,6 +104,7 @@ def make_learner(
         evaluations=evaluations,
         past=past if records else None,
         journal=journal,
+        ledger=ledger,
         env_steps=env_steps,
         path=path,
         kind=kind,

@@ -8,6 +8,9 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
+
+import xxhash
 
 from a2s.learner.run.writing import write_at, writing
 from a2s.protocol.errors import RunDirectoryError
@@ -57,25 +60,41 @@ class _Sender:
         self.next_seq = max(self.next_seq, seq + 1)
 
 
+class Mark(NamedTuple):
+    """What a ledger was at a moment: its first ``size`` bytes, and their XXH3, 64 bits."""
+
+    size: int
+    digest: str
+
+
 class Ledger:
     """The answers of one run, in memory and in a file; an existing file is read first.
 
+    ``known`` is what it was at a checkpoint; a file that is shorter has lost its end, which the
+    journal may know.
+
+    Attributes:
+        mark: What it is now.
+
     Raises:
-        RunDirectoryError: The file is not a ledger.
+        RunDirectoryError: The file is not a ledger, or its beginning is not what is ``known``.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, known: Mark | None = None) -> None:
         self._senders: dict[str, _Sender] = {}
         self._verdicts = dict.fromkeys(_RECORDED, 0)
         self._duplicates = self._missing = 0
         self.accepted_steps = 0
-        whole = 0
-        for line, end in _lines(path):
-            self._replay(path, line)
-            whole = end
+        self._digest = xxhash.xxh3_64()
+        self.mark, whole = Mark(0, self._digest.hexdigest()), 0
+        for line in _lines(path):
+            self._replay(path, line[:-1].decode(errors="replace"))
+            whole = self._add(line)
+            if known is not None and whole >= known.size > whole - len(line):
+                _require_equal(path, self.mark, known)
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
         os.ftruncate(self._file, whole)  # a line torn by a kill was never answered
-        self._path, self._size = path, whole
+        self._path = path
 
     def has(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts a duplicate if so."""
@@ -107,7 +126,8 @@ class Ledger:
         """
         line = f"{actor} {seq} {verdict} {steps}\n".encode()
         with writing(self._path):
-            self._size = write_at(self._file, line, self._size)
+            write_at(self._file, line, self.mark.size)
+        self._add(line)
         self._count(actor, seq, verdict, steps)
 
     def accounts(self) -> Accounts:
@@ -122,6 +142,12 @@ class Ledger:
     def close(self) -> None:
         """Close the file."""
         os.close(self._file)
+
+    def _add(self, line: bytes) -> int:
+        """Take a line into the mark; gives the size of the file."""
+        self._digest.update(line)
+        self.mark = Mark(self.mark.size + len(line), self._digest.hexdigest())
+        return self.mark.size
 
     def _count(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         sender = self._senders.setdefault(actor, _Sender(seq, seq))
@@ -141,13 +167,16 @@ class Ledger:
             raise RunDirectoryError(f"{path}: found {line!r:.60}, expected a ledger line") from None
 
 
-def _lines(path: Path) -> Iterator[tuple[str, int]]:
-    """Yield every complete line, and the size of the file up to its end."""
-    if not path.exists():
-        return
-    end = 0
-    with path.open("rb") as file:
-        for line in file:
-            if line.endswith(b"\n"):
-                end += len(line)
-                yield line[:-1].decode(errors="replace"), end
+def _require_equal(path: Path, found: Mark, known: Mark) -> None:
+    if found != known:
+        raise RunDirectoryError(
+            f"{path}: its first {known.size} bytes are not those that the checkpoint knows; "
+            "restore it from a copy, or begin another run with --init-from"
+        )
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """Yield every complete line, with its end."""
+    if path.exists():
+        with path.open("rb") as file:
+            yield from (line for line in file if line.endswith(b"\n"))

@@ -25,7 +25,7 @@ State = dict[str, Any]
 logger = logging.getLogger(__name__)
 
 _MAX_KEPT = 3
-_FORMAT = 5
+_FORMAT = 6
 _TENSORS, _STATE, _SUMS = "tensors.safetensors", "state.json", "SHA256SUMS"
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from a2s.learner.ingest.journal import Journal, Place
+from a2s.learner.ingest.ledger import Ledger, Mark
 from a2s.learner.run import checkpoint
 from a2s.learner.run.directory import RunDirectory
 from a2s.learner.run.metrics import LearnerMetrics
@@ -21,9 +22,9 @@ logger = logging.getLogger(__name__)
 class Saver:
     """Saves a run, and goes on with it.
 
-    Checkpoints of another ``kind`` of run are refused. The status, the environment's ``obs_offset``
-    and the place in the ``journal``, of a run with actors, are saved as well. ``latest`` is the
-    policy that was saved last, as ONNX.
+    Checkpoints of another ``kind`` of run are refused. The status and the environment's
+    ``obs_offset`` are saved as well, and for a run with actors the place in the ``journal`` and the
+    mark of the ``ledger``. ``latest`` is the policy that was saved last, as ONNX.
     """
 
     def __init__(
@@ -35,10 +36,11 @@ class Saver:
         kind: str,
         obs_offset: Array | None,
         journal: Journal | None,
+        ledger: Ledger | None,
     ) -> None:
         self._trainer, self._status, self._directory = trainer, status, directory
         self._metrics, self._kind, self._obs_offset = metrics, kind, obs_offset
-        self._journal = journal
+        self._journal, self._ledger = journal, ledger
         self.latest = b""
 
     def save(self) -> None:
@@ -56,6 +58,7 @@ class Saver:
             "episodes": status.episodes.count,
             "env_steps": status.env_steps,
             "journal": None if journal is None else list(journal.place),
+            "ledger": None if self._ledger is None else list(self._ledger.mark),
             "version": status.version,
             "acting": base64.b64encode(status.acting).decode() if status.is_ahead else "",
             "num_recoveries": status.num_recoveries,
@@ -114,6 +117,11 @@ class Saver:
 def place(state: dict[str, Any]) -> Place:
     """Where the journal of a run with actors goes on from a checkpoint."""
     return Place(*state["journal"])
+
+
+def ledger_mark(state: dict[str, Any]) -> Mark | None:
+    """What the ledger of a run with actors was at a checkpoint."""
+    return None if state["ledger"] is None else Mark(*state["ledger"])
 
 
 def obs_offset(state: dict[str, Any]) -> Array | None:

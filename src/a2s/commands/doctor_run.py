@@ -5,7 +5,7 @@ from pathlib import Path
 
 from a2s.commands.doctor import Finding
 from a2s.learner.ingest import journal
-from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.ledger import Ledger, Mark
 from a2s.learner.replay import directory as replay
 from a2s.learner.replay import files
 from a2s.learner.run import checkpoint, saver
@@ -31,7 +31,8 @@ def examine_run(path: Path) -> Iterator[Finding]:
                 whole.append(state)
         if not whole:
             yield Finding("checkpoints", "fail", "none is whole", "restore one from a copy")
-        yield _finding("ledger", lambda: _ledger(path))
+        known = saver.ledger_mark(whole[-1]) if whole else None
+        yield _finding("ledger", lambda: _ledger(path, known))
         places = [saver.place(state) for state in whole if state["journal"] is not None]
         if places:
             yield _finding("journal", lambda: _journal(path / "journal", places))
@@ -56,8 +57,8 @@ def _checkpoint(path: Path) -> tuple[Finding, checkpoint.State | None]:
     return Finding(name, "ok", f"{state.get('env_steps', 0):,} steps"), state
 
 
-def _ledger(path: Path) -> str:
-    ledger = Ledger(path / "segments.log")
+def _ledger(path: Path, known: Mark | None) -> str:
+    ledger = Ledger(path / "segments.log", known)
     try:
         accounts = ledger.accounts()
     finally:

@@ -98,6 +98,33 @@ def test_a_line_torn_by_a_kill_is_cut_off(tmp_path: Path) -> None:
     assert path.read_text() == "a 0 accepted 7\na 1 stale 7\n"
 
 
+def test_what_a_checkpoint_knows_of_it_cannot_change_unseen(tmp_path: Path) -> None:
+    """Not a bit; lines after that are not known, and an end that is missing is for the journal."""
+    path = tmp_path / "segments.log"
+    ledger = Ledger(path)
+    for seq in range(3):
+        ledger.record("a", seq, "accepted", 7)
+    known = ledger.mark
+    ledger.record("a", 3, "accepted", 7)
+    ledger.close()
+    whole = path.read_bytes()
+    assert known.size == len(whole) * 3 // 4
+    for place in range(len(whole)):
+        for bit in range(8):
+            damaged = bytearray(whole)
+            damaged[place] ^= 1 << bit
+            path.write_bytes(damaged)
+            if place < known.size:
+                with pytest.raises(RunDirectoryError, match=r"segments\.log"):
+                    Ledger(path, known)
+    path.write_bytes(whole)
+    again = Ledger(path, known)
+    assert (again.accepted_steps, again.mark.size) == (28, len(whole))
+    again.close()
+    path.write_bytes(whole[: known.size - 1])
+    assert Ledger(path, known).accepted_steps == 14
+
+
 def test_a_file_of_another_kind_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "segments.log"
     path.write_text("wall_s,return\n1,2\n")

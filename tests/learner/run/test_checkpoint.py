@@ -115,7 +115,7 @@ def test_resuming_without_one_says_so(tmp_path: Path) -> None:
 def test_one_of_another_version_is_refused_by_name(tmp_path: Path) -> None:
     path, _ = checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
     text = (path / "state.json").read_text()
-    (path / "state.json").write_text(text.replace('"format": 5', '"format": 4'))
+    (path / "state.json").write_text(text.replace('"format": 6', '"format": 5'))
     (path / "SHA256SUMS").unlink()  # there was none
-    with pytest.raises(RunDirectoryError, match="found format 4, expected 5; another version"):
+    with pytest.raises(RunDirectoryError, match="found format 5, expected 6; another version"):
         checkpoint.load(tmp_path, kind="k")
