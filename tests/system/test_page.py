@@ -102,7 +102,8 @@ def test_a_run_is_seen_as_it_is(
     assert learner.end() == 143
     wait_for(lambda: _texts(browser, "#state") == ["no learner answers"], "that it has gone")
     said: list[dict[str, Any]] = browser.get_log("browser")  # type: ignore[no-untyped-call]
-    assert [x for x in said if "ERR_CONNECTION_REFUSED" not in x["message"]] == []
+    # A request that was under way when the learner ended fails in one of several ways.
+    assert [x for x in said if "Failed to load resource: net::ERR_" not in x["message"]] == []
 
 
 def _look(browser: webdriver.Chrome, size: tuple[int, int], scheme: str) -> None:
