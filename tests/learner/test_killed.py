@@ -5,41 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scripted_actors import Script
+from scripted_actors import WAYS, Script
 
 pytestmark = pytest.mark.timeout(300)  # the first to run may compile
 
 Undisturbed = dict[str, tuple[Path, dict[str, Any]]]
 
-SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}
-ON_POLICY = {
-    **SMALL, "batch_steps": 64, "first_batch_steps": 32, "window_steps": 256, "q_steps": 4,
-    "policy_epochs": 2, "critic_epochs": 2,
-}  # fmt: skip
-OFF_POLICY = {
-    "warm_up_steps": 16, "batch_rows": 8, "send_every_steps": 4, "replay_rows": 1000,
-    "policy_sizes": (16,), "critic_sizes": (16,), "num_quantiles": 3, "quantiles_to_drop": 1,
-    "average_updates": 10,
-}  # fmt: skip
-WAYS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "lockstep": ({"total_steps": 1200, "checkpoint_every_updates": 5}, ON_POLICY),
-    "lag of 1": (
-        {"total_steps": 1200, "checkpoint_every_updates": 5},
-        {**ON_POLICY, "act_while_learning": True},
-    ),
-    "async": ({"total_steps": 1200, "checkpoint_every_updates": 5, "clock": "async"}, ON_POLICY),
-    "off-policy": (
-        {"variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30},
-        OFF_POLICY,
-    ),
-    "off-policy lockstep": (
-        {
-            "variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30,
-            "clock": "lockstep",
-        },
-        OFF_POLICY,
-    ),
-}  # fmt: skip
 KILLS = {"once": (37,), "often": (5, 33, 35, 62)}
 
 

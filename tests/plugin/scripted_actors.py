@@ -26,6 +26,36 @@ from a2s.protocol.messages import Ack, Hello, Notice, Segment, Welcome
 SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 ENVS, PIECES = 2, 2
 
+SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}
+ON_POLICY = {
+    **SMALL, "batch_steps": 64, "first_batch_steps": 32, "window_steps": 256, "q_steps": 4,
+    "policy_epochs": 2, "critic_epochs": 2,
+}  # fmt: skip
+OFF_POLICY = {
+    "warm_up_steps": 16, "batch_rows": 8, "send_every_steps": 4, "replay_rows": 1000,
+    "policy_sizes": (16,), "critic_sizes": (16,), "num_quantiles": 3, "quantiles_to_drop": 1,
+    "average_updates": 10,
+}  # fmt: skip
+WAYS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "lockstep": ({"total_steps": 1200, "checkpoint_every_updates": 5}, ON_POLICY),
+    "lag of 1": (
+        {"total_steps": 1200, "checkpoint_every_updates": 5},
+        {**ON_POLICY, "act_while_learning": True},
+    ),
+    "async": ({"total_steps": 1200, "checkpoint_every_updates": 5, "clock": "async"}, ON_POLICY),
+    "off-policy": (
+        {"variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30},
+        OFF_POLICY,
+    ),
+    "off-policy lockstep": (
+        {
+            "variant": "off-policy", "total_steps": 300, "checkpoint_every_updates": 30,
+            "clock": "lockstep",
+        },
+        OFF_POLICY,
+    ),
+}  # fmt: skip
+
 
 class Killed(BaseException):
     """The learner is gone; nothing catches this."""
@@ -66,14 +96,15 @@ class ScriptedActor:
                 part = (notice.version, env, piece)
                 if part not in self._done:
                     self._before_send()
-                    self._send(notice, env, piece)
+                    self._send(self._segment(notice, env, piece))
+                    self._seq += 1
                     self._done.add(part)
 
-    def _send(self, notice: Notice, env: int, piece: int) -> None:
+    def _segment(self, notice: Notice, env: int, piece: int) -> Segment:
         steps = -(-notice.quota_steps // PIECES)
         rng = np.random.default_rng([self._slot, notice.version, env, piece])
         suggestion = rng.uniform(-1, 1, (steps, 1)).astype(np.float32)
-        segment = Segment(
+        return Segment(
             actor=f"actor-{self._slot}", seq=self._seq, generation=self._generation,
             epoch=notice.epoch, weights_version=notice.version, env=env, suggestion=suggestion,
             obs=rng.standard_normal((steps, 2)).astype(np.float32),
@@ -81,7 +112,8 @@ class ScriptedActor:
             final_obs=rng.standard_normal(2).astype(np.float32), terminated=piece == 1,
             truncated=False, episode_return=float(rng.uniform(0, 9)), episode_length=2 * steps,
         )  # fmt: skip
-        self._seq += 1
+
+    def _send(self, segment: Segment) -> None:
         answer = self._bus.ask(self._keys.segment, encode(segment), 1.0)
         assert answer is not None
         ack = decode(answer, Ack)
