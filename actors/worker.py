@@ -29,15 +29,16 @@ def main() -> None:
             is_hopeless = _is_hopeless(error, task, metrics)
             parent.report({"error": told(error), "is_hopeless": is_hopeless})
 
+    def waits() -> bool:
+        """Report while nobody listens: the supervisor ends a worker that has become silent."""
+        parent.report(metrics.report())
+        return not parent.stopped.is_set()
+
     parent.report(metrics.report())
     code = 0
     try:
         identity = Security(task.tls, task.password_file).peer(ACTOR)
-
-        def proceed() -> bool:
-            return not parent.stopped.is_set()
-
-        with closing(ZenohBus.connect(task.connect, proceed, identity)) as bus:
+        with closing(ZenohBus.connect(task.connect, waits, identity)) as bus:
             role = Evaluator if task.evaluates else Actor
             actor = role(task, bus, metrics, parent, on_failure)
             actor.run()
