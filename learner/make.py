@@ -30,6 +30,7 @@ from a2s.learner.run.config import Configuration
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import View
 from a2s.learner.run.run_config import RunConfig
+from a2s.learner.run.writing import writing
 from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
@@ -69,7 +70,9 @@ def make_learner(
         spaces = replace(spaces, obs_offset=saver.obs_offset(saved[1]))
     metadata, learned = policy_metadata(run, spaces, layout), _of_trainer(saved)
     known = None if saved is None else saver.ledger_mark(saved[1])
-    ledger, evaluations = Ledger(path / "segments.log", known), Evaluations()
+    with writing(path / "segments.log"):
+        ledger = Ledger(path / "segments.log", known)
+    evaluations = Evaluations()
     journal, records = _journal(path, ledger, saved)
     trainer: Trainer
     store: OwnReplay | OnPolicyTrainer

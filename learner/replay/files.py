@@ -17,7 +17,7 @@ import numpy as np
 
 from a2s.learner.replay.index import Index
 from a2s.learner.replay.ring import make_columns
-from a2s.learner.run.writing import write_atomically
+from a2s.learner.run.writing import write_atomically, writing
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.fields import Array, Spaces
 
@@ -156,10 +156,15 @@ class Files:
             raise
 
     def flush(self) -> None:
-        """Write the writable files to the disk, in case the machine dies."""
+        """Write the writable files to the disk, in case the machine dies.
+
+        Raises:
+            RunDirectoryError: They cannot be written.
+        """
         if self.index is not None:
-            for mapped in self._maps:
-                mapped.flush()
+            with writing(self._path):
+                for mapped in self._maps:
+                    mapped.flush()
             self.index.flush()
 
     def close(self) -> None:

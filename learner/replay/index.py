@@ -7,10 +7,11 @@ import os
 import struct
 import zlib
 from bisect import bisect_right
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from a2s.learner.run.writing import write_at, write_atomically
+from a2s.learner.run.writing import write_at, write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError
 
 TERMINATED, TRUNCATED, STARTS, CONTINUES = 1, 2, 4, 8
@@ -89,15 +90,21 @@ class Index:
                 self._compact(begin)
             end = write_at(self._file, data, self._size)
         except OSError as error:
-            os.ftruncate(self._file, self._size)
+            with suppress(OSError):  # what is torn there is cut when it is opened
+                os.ftruncate(self._file, self._size)
             raise RunDirectoryError(
                 f"{self._path}: {error.strerror}; nothing is lost, make room and resume"
             ) from None
         self._size = end
 
     def flush(self) -> None:
-        """Write everything to the disk, in case the machine dies."""
-        os.fsync(self._file)
+        """Write everything to the disk, in case the machine dies.
+
+        Raises:
+            RunDirectoryError: It cannot be written.
+        """
+        with writing(self._path):
+            os.fsync(self._file)
 
     def close(self) -> None:
         """Close the file."""

@@ -208,13 +208,15 @@ class RunDirectory:
 
     def keep_updates(self, count: int) -> None:
         """Forget rows of ``updates.csv`` past this many: they will be made again."""
-        self._updates.close()
-        keep_rows(self.path / UPDATES, count)
-        self._updates = open_table(self.path / UPDATES, self._update_columns)
+        with writing(self.path / UPDATES):
+            self._updates.close()
+            keep_rows(self.path / UPDATES, count)
+            self._updates = open_table(self.path / UPDATES, self._update_columns)
 
     def keep_episodes(self, count: int) -> None:
         """Forget rows of ``episodes.csv`` past this many: they come again."""
-        self._episodes.keep(count)
+        with writing(self.path / EPISODES):
+            self._episodes.keep(count)
 
     def evaluation(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
         """Append to ``evaluations.csv``: the values of `EVALUATION_COLUMNS` but for the first.
@@ -250,10 +252,16 @@ class RunDirectory:
         write_atomically(self.path / place / "policy.onnx", graph)
 
     def close(self) -> None:
-        """Close the files."""
-        for file in (self._episodes, self._updates, self._events, self._evaluations):
-            if file is not None:
-                file.close()
+        """Close the files, whether or not what is left of their last lines can be written.
+
+        Raises:
+            RunDirectoryError: It cannot.
+        """
+        with contextlib.ExitStack() as stack:
+            for file in (self._episodes, self._updates, self._events, self._evaluations):
+                if file is not None:
+                    stack.enter_context(writing(self.path))
+                    stack.callback(file.close)
 
     def _require_there(self) -> None:
         with contextlib.suppress(OSError):
