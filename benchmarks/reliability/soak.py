@@ -1,0 +1,83 @@
+"""An hour of 2 x 8 environments: ``python -m reliability.soak --minutes 60``.
+
+Every process's own memory (``RssAnon``: a replay's files are mapped, and are the kernel's to keep or
+to drop) is read all the time. Its slope is that of a line through the means of twenty equal parts of
+the last three quarters, with the interval of 95 % that their residuals give.
+"""
+
+import argparse
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from reliability.commands import Commands, rows, wait_for
+from reliability.run_files import unbalanced
+from reliability.trial import Result, folder, tell
+from scipy import stats
+
+_EVERY_S, _PARTS = 1.0, 20
+_MOST_PER_HOUR = 1.0  # MB
+Sample = tuple[float, float]  # hours, MB
+
+
+def soak(variant: str, minutes: float, env: str, place: Path) -> Result:
+    """One run of a variant."""
+    result = Result(f"soak, {variant}", "memory of no process grows by 1 MB/h; accounts balance")
+    path, memory = place / variant, dict[str, list[Sample]]()
+    with Commands(place) as commands:
+        learner = commands.start(
+            "learner", "--env", env, "--variant", variant, "--n", "2", "--envs", "8",
+            "--total-steps", "1000000000", "--listen", commands.endpoint, "--run-dir", str(path),
+            "--metrics-port", "-1",
+        )  # fmt: skip
+        actor = commands.start(
+            "actor", "--n", "2", "--envs", "8", "--connect", commands.endpoint, "--metrics-port", "-1"
+        )
+        wait_for(lambda: rows(path / "updates.csv") >= 3, "the first updates", 600.0)
+        names = {learner.process.pid: "learner", actor.process.pid: "supervisor"}
+        names |= {each.pid: f"worker {n}" for n, each in enumerate(actor.workers())}
+        begin_s = time.monotonic()
+        while (now_s := time.monotonic() - begin_s) < 60 * minutes:
+            for pid, name in names.items():
+                memory.setdefault(name, []).append((now_s / 3600, _own_mb(pid)))
+            time.sleep(_EVERY_S)
+        result.figures["updates"] = str(rows(path / "updates.csv"))
+        code = learner.end(signal.SIGINT)
+        result.add("" if code == 130 else f"exit code {code}", unbalanced(path), of="the end")
+    for name, samples in memory.items():
+        slope, half = line(samples[len(samples) // 4 :])
+        result.figures[name] = f"{samples[-1][1]:.0f} MB, {slope:+.2f} +- {half:.2f} MB/h"
+        grows = slope + half > _MOST_PER_HOUR
+        result.add("may grow by more than 1 MB/h" if grows else "", of=f"{name}: {result.figures[name]}")
+    return result
+
+
+def line(samples: Sequence[Sample]) -> tuple[float, float]:
+    """Slope, and half of its interval of 95 %, through the means of equal parts."""
+    parts = np.array_split(np.asarray(samples), min(_PARTS, len(samples)))
+    hours, size = np.array([part.mean(0) for part in parts]).T
+    found = stats.linregress(hours, size)
+    return float(found.slope), float(found.stderr * stats.t.ppf(0.975, len(parts) - 2))
+
+
+def _own_mb(pid: int) -> float:
+    text = Path(f"/proc/{pid}/status").read_text()
+    return float(text.split("RssAnon:")[1].split()[0]) / 1024
+
+
+def main() -> None:
+    """Parse, soak, tell."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=0.5)
+    parser.add_argument("--env", default="Hopper-v5")
+    options = parser.parse_args()
+    with folder() as place:
+        variants = ("on-policy", "off-policy")
+        results = [soak(each, options.minutes, options.env, place) for each in variants]
+    tell(results)
+
+
+if __name__ == "__main__":
+    main()
