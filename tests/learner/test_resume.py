@@ -72,3 +72,9 @@ def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path
         file.write(ROW)
     summary = _learner(tmp_path, resume=True).run(lambda: True)
     assert 1000.0 < summary["wall_s"] < 1100.0
+
+
+def test_a_ledger_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
+    (tmp_path / "segments.log").mkdir()
+    with pytest.raises(RunDirectoryError, match=r"segments.log: Is a directory; mend that"):
+        _learner(tmp_path, resume=False)

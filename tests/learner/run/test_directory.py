@@ -183,3 +183,17 @@ def test_a_file_for_which_there_is_no_room_is_named_and_the_old_one_kept(
     with no_room(), pytest.raises(RunDirectoryError, match=r"updates.csv: File too large"):
         directory.update({"update": "1" * 1000})
     directory.close()
+
+
+def test_a_line_that_has_no_room_to_the_end_is_an_error_in_one_line(
+    tmp_path: Path, no_room: NoRoom
+) -> None:
+    """Closing tries to write it once more; the other files are closed all the same."""
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    with no_room():
+        with pytest.raises(RunDirectoryError, match=r"updates.csv: File too large"):
+            directory.update({"update": "1" * 1000})
+        with pytest.raises(RunDirectoryError, match=r"File too large; mend that and resume"):
+            directory.close()
+    with pytest.raises(ValueError, match="closed file"):
+        directory.event("end")

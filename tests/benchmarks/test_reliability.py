@@ -1,0 +1,46 @@
+"""The trials of reliability in their short form: what they look for does not happen."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from reliability.fuzz import decoded
+from reliability.run import COLUMNS, TRIALS, table
+from reliability.soak import line
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def test_mutated_messages_are_decoded_or_refused_with_a_reason() -> None:
+    assert decoded(2000, seed=1).failures == []
+
+
+def test_a_slope_has_an_interval() -> None:
+    found = line([(i / 100, 50 + 2 * i / 100) for i in range(100)])
+    assert found[0] == pytest.approx(2.0)
+    assert found[1] == pytest.approx(0.0, abs=1e-6)
+    jumps = line([(i / 100, float(i % 2 * (i // 25))) for i in range(100)])
+    assert jumps[1] > 0.1
+
+
+def test_a_result_is_a_row_that_says_whether_it_was_full_and_what_failed() -> None:
+    row = dict.fromkeys(COLUMNS, "") | {
+        "program": "kills", "count": "5", "failed": "1", "first_failure": "a | b", "full": "False",
+    }  # fmt: skip
+    last = table([row]).splitlines()[-1]
+    assert "short: `kills " in last
+    assert "5 times, 1 failed. first: a \\| b" in last
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("program", [p for p in TRIALS if p not in ("bytes", "soak")])
+def test_the_short_form_holds(program: str) -> None:
+    """Not of damaged bytes: lines of the ledger have no checksum. A short soak says nothing."""
+    command = [sys.executable, "-m", f"reliability.{program}", *TRIALS[program][0].split()]
+    paths = os.pathsep.join([str(BENCHMARKS), os.environ["PYTHONPATH"]])
+    environ = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
