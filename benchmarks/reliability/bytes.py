@@ -11,8 +11,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from reliability.scripted import ACTORS, Ended, ScriptedRun
 from reliability.faults import Fault, Faults
+from reliability.scripted import ACTORS, Ended, ScriptedRun
 from reliability.trial import Result, folder, tell
 
 from a2s.learner.ingest import journal
@@ -153,7 +153,12 @@ def _reader(name: str, run: Path) -> Callable[[], list[object]] | None:
 def _ledger(path: Path) -> object:
     ledger = Ledger(path)
     try:
-        known = [(slot, n) for slot in range(ACTORS) for n in range(999) if ledger.knows(f"actor-{slot}", n)]
+        known = [
+            (slot, n)
+            for slot in range(ACTORS)
+            for n in range(999)
+            if ledger.knows(f"actor-{slot}", n)
+        ]
         return ledger.accounts(), ledger.accepted_steps, known
     finally:
         ledger.close()

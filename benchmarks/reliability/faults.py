@@ -45,7 +45,7 @@ class Faults:
         }
 
     def arm(self, fault: Fault, at: int = 0, match: str = "") -> None:
-        """Count from 0, on paths that contain ``match`` alone, to a fault at the ``at``-th write."""
+        """Count from 0, only paths with ``match`` in them, to a fault at the ``at``-th write."""
         state = _STATE.pack(0, at, fault, match.encode())
         with open(os.open(self._state, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as file:
             file.write(state)

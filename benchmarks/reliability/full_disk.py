@@ -52,7 +52,7 @@ def scripted(way: str, first: int, stride: int, faults: Faults, notes: Path) -> 
             wrong = ended.defect if not ended.is_one_line else ""
             is_over = ended.code == 0 and (path / "summary.json").exists()
             again = ended if is_over else run.start()
-            wrong = wrong or again.defect and f"and then, {again.defect}"
+            wrong = wrong or (again.defect and f"and then, {again.defect}")
             difference = ""
             if again.code == 0 and (path / "summary.json").exists():
                 difference = undisturbed.difference(run.learned())

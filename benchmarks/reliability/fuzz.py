@@ -1,4 +1,4 @@
-"""Mutated messages, decoded and sent: ``python -m reliability.fuzz --decode 1000000 --live 100000``.
+"""Mutated messages: ``python -m reliability.fuzz --decode 1000000 --live 100000``.
 
 Bytes are flipped, cut, doubled and made up, values replaced by others of any type. Each is decoded,
 or refused with a reason; so is each that is sent to a learner, which goes on learning, and neither
@@ -33,12 +33,14 @@ from a2s.protocol.replay_messages import ReplayRequest, ReplaySample
 from a2s.protocol.zenoh_bus import ZenohBus
 
 HEADS = (
-    b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xdb\x7f\xff\xff\xff",
-    b"\xc1", b"\xd4\x00\x00", b"\xcb\x7f\xf8" + bytes(6), b"\xcf" + b"\xff" * 8, b"\x91" * 2000,
+    b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff",
+    b"\xdb\x7f\xff\xff\xff", b"\xc1", b"\xd4\x00\x00",
+    b"\xcb\x7f\xf8" + bytes(6), b"\xcf" + b"\xff" * 8, b"\x91" * 2000,
 )  # fmt: skip
 VALUES: tuple[Any, ...] = (
-    None, True, -1, 0, 2**31, 2**63 - 1, -(2**63), 2**64 - 1, math.nan, math.inf, 1e300, "", "a" * 5000,
-    "\n\x00\x1b[2J", b"", b"\x00" * 64, [], {}, [[[[]]]], {"dtype": "<f4", "shape": [2**62], "data": b""},
+    None, True, -1, 0, 2**31, 2**63 - 1, -(2**63), 2**64 - 1, math.nan, math.inf, 1e300, "",
+    "a" * 5000, "\n\x00\x1b[2J", b"", b"\x00" * 64, [], {}, [[[[]]]],
+    {"dtype": "<f4", "shape": [2**62], "data": b""},
     {"dtype": "O", "shape": [1], "data": b"x"}, {"dtype": "<f4", "shape": [-1], "data": b""},
 )  # fmt: skip
 _SLOW_S, _MOST_GROWTH = 2.0, 32e6
@@ -123,7 +125,11 @@ def decoded(count: int, seed: int) -> Result:
     gc.collect()
     grown = me.memory_info().rss - before
     result.count = count
-    result.figures = {"refused": str(refused), "grown": f"{grown / 1e6:.1f} MB", "slowest": f"{slowest_s:.2f} s"}
+    result.figures = {
+        "refused": str(refused),
+        "grown": f"{grown / 1e6:.1f} MB",
+        "slowest": f"{slowest_s:.2f} s",
+    }
     if grown > _MOST_GROWTH or slowest_s > _SLOW_S:
         result.failures.append(f"grown {grown / 1e6:.1f} MB, slowest {slowest_s:.2f} s")
     return result
@@ -156,7 +162,11 @@ def live(count: int, seed: int, place: Path) -> Result:
             result.failures.append(f"grown {grown / 1e6:.1f} MB")
         wait_for(lambda: rows(table) > updates + 2, "updates afterwards")
         code, words = learner.end(signal.SIGINT), learner.text()
-        told = ("a traceback" if "Traceback" in words else "", unbalanced(path), accounts_disagree(path))
+        told = (
+            "a traceback" if "Traceback" in words else "",
+            unbalanced(path),
+            accounts_disagree(path),
+        )
         result.add(*told, "" if code == 130 else f"exit code {code}", of="the end")
     return result
 
@@ -176,10 +186,10 @@ def _send(bus: ZenohBus, rng: random.Random) -> str:
             (keys.evaluation_result, EvaluationResult, (Refusal,)),
         )
     )
-    data = mutated(_example(kind), rng)
+    data, begin_s = mutated(_example(kind), rng), time.monotonic()
     answer = bus.ask(key, data, _ANSWER_S)
     if answer is None:
-        return f"{key}: no answer to {data[:200].hex()}"
+        return f"{key}: no answer in {time.monotonic() - begin_s:.1f} s to {data[:200].hex()}"
     if not answer and "evaluation" in key:
         return ""
     found: Any = decode(answer, *answers)

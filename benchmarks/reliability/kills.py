@@ -8,6 +8,7 @@ ones are processes of ``a2s actor``; each kill is followed by ``a2s learner --re
 import argparse
 import random
 import time
+from functools import partial
 from pathlib import Path
 
 from reliability.commands import Commands, rows, wait_for
@@ -21,6 +22,7 @@ from system_helpers import FAST, OFF_POLICY, REACH, Command, metrics_port, scrap
 CHECKPOINT, INGEST = ("/checkpoints/.",), ("/journal/", "/segments.log", "/replay/index")
 PLACES = {"checkpoint": CHECKPOINT, "ingest": INGEST, "anywhere": ("",)}
 NAMES = tuple(PLACES)
+_PATIENCE_S = 120.0
 VARIANTS = {
     "on-policy": FAST,
     "off-policy": (*OFF_POLICY, "--set", "warm_up_steps=100"),
@@ -102,7 +104,7 @@ def real(variant: str, kills: int, seed: int, faults: Faults) -> Result:
             match, at = rng.choice(PLACES[name][: 3 if variant == "off-policy" else 2]), 0
             at = rng.randint(1, 14 if name == "checkpoint" else 60)
             faults.arm(Fault.KILL, at, match)
-            wait_for(lambda: learner.process.poll() is not None, "the kill")
+            learner.process.wait(_PATIENCE_S)
             faults.arm(Fault.NOTHING)
             begin_s, before, counted = time.monotonic(), rows(table), len(answered(path))
             told = _told(actor)
@@ -111,7 +113,7 @@ def real(variant: str, kills: int, seed: int, faults: Faults) -> Result:
             lost = f"{told} told, {accepted} accepted" if told > accepted else ""
             learner = commands.start("learner", "--resume", *options, environ=faults.environ())
             try:
-                wait_for(lambda: rows(table) > before and len(answered(path)) > counted, "learning")
+                wait_for(partial(_goes_on, path, before, counted), "learning", _PATIENCE_S)
             except TimeoutError as error:
                 result.add(wrong, lost, str(error), learner.text()[-300:], of=f"{match}@{at}")
                 return result
@@ -123,6 +125,10 @@ def real(variant: str, kills: int, seed: int, faults: Faults) -> Result:
         result.add(accounts_disagree(path), of="what was kept")
     result.quantiles("learns again after", again_s)
     return result
+
+
+def _goes_on(path: Path, updates: int, segments: int) -> bool:
+    return rows(path / "updates.csv") > updates and len(answered(path)) > segments
 
 
 def _told(actor: Command) -> int:

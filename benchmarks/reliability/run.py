@@ -1,8 +1,8 @@
 """Repeat the trials of reliability: python benchmarks/reliability/run.py [TRIAL...] [--full].
 
-Each trial is a program of its own, ``reliability.TRIAL``, in a short form unless ``--full``. Results
-go into results.csv, a row for each, and into the table of README.md; an earlier result of the same
-trial is replaced, unless it was full and this one is not.
+Each trial is a program of its own, ``reliability.TRIAL``, in a short form unless ``--full``. What
+comes out goes into results.csv, a row for each result, and into the table of README.md. An earlier
+result of the same trial is replaced, unless it was full and this one is not.
 """
 
 import argparse
@@ -27,8 +27,8 @@ TRIALS: dict[str, tuple[str, str]] = {  # short, full
     "soak": ("--minutes 0.5", "--minutes 60"),
 }
 COLUMNS = (
-    "program", "trial", "must_hold", "count", "failed", "figures", "first_failure", "options", "full",
-    "commit",
+    "program", "trial", "must_hold", "count", "failed", "figures", "first_failure", "options",
+    "full", "commit",
 )  # fmt: skip
 BEGIN, END = "<!-- results: run.py writes them -->\n", "<!-- end of results -->\n"
 Row = dict[str, str]
@@ -39,7 +39,9 @@ def run(program: str, options: str, *, full: bool) -> list[Row]:
     command = [sys.executable, "-m", f"reliability.{program}", *options.split()]
     paths = (ROOT / "src", ROOT / "benchmarks", ROOT / "tests" / "plugin")
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
-    done = subprocess.run(command, cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True, check=False
+    )
     lines = done.stdout.splitlines()
     if not lines:
         sys.exit(f"{program}: ended with code {done.returncode} and no result; see above")
@@ -62,8 +64,11 @@ def run(program: str, options: str, *, full: bool) -> list[Row]:
 
 def commit() -> str:
     """Name the commit of the checkout; with changes it has a +."""
+
     def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        return subprocess.run(
+            ["git", *words], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout
 
     changed = git("status", "--porcelain", "--untracked-files=no", "--", ":!benchmarks/reliability")
     return git("rev-parse", "--short", "HEAD").strip() + "+" * bool(changed)
@@ -81,8 +86,8 @@ def keep(rows: list[Row]) -> None:
     """Replace earlier results of the same trials, then write the table."""
     found = {row["trial"]: row for row in kept()}
     for row in rows:
-        before = found.get(row["trial"])
-        if before is None or row["full"] == "True" or before["full"] != "True":
+        earlier = found.get(row["trial"])
+        if earlier is None or row["full"] == "True" or earlier["full"] != "True":
             found[row["trial"]] = row
     order = list(TRIALS)
     ordered = sorted(found.values(), key=lambda row: order.index(row["program"]))
@@ -99,14 +104,17 @@ def table(rows: list[Row]) -> str:
     """The results as a table of Markdown."""
     lines = ["| trial | must hold | options | result | commit |", "|---|---|---|---|---|"]
     for row in rows:
-        held = f"{row['count']} times, {row['failed']} failed" if row["failed"] != "0" else f"held {row['count']} times"
+        held = (
+            f"{row['count']} times, {row['failed']} failed"
+            if row["failed"] != "0"
+            else f"held {row['count']} times"
+        )
         parts = [held, row["figures"], row["first_failure"] and f"first: {row['first_failure']}"]
         result = ". ".join(filter(None, parts)).replace("|", "\\|").replace("\n", " ")
         length = "full" if row["full"] == "True" else "short"
-        lines.append(
-            f"| {row['trial']} | {row['must_hold']} | {length}: `{row['program']} {row['options']}` | "
-            f"{result} | {row['commit']} |"
-        )
+        command = f"{length}: `{row['program']} {row['options']}`"
+        cells = (row["trial"], row["must_hold"], command, result, row["commit"])
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

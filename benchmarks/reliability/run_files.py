@@ -79,7 +79,9 @@ def accounts_disagree(path: Path) -> str:
     if keys and max(keys.values()) > 1:
         return "a segment is twice in the journal"
     accepted = {(actor, seq) for actor, seq, verdict, _ in lines if verdict == "accepted"}
-    known = sum(segment.num_steps for _, segment in stored if (segment.actor, segment.seq) in accepted)
+    known = sum(
+        segment.num_steps for _, segment in stored if (segment.actor, segment.seq) in accepted
+    )
     counted = sum(steps for *_, verdict, steps in lines if verdict == "accepted")
     if counted != place.accepted_steps + known:
         return f"{counted} steps accepted, {place.accepted_steps} + {known} kept"

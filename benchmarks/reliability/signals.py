@@ -137,7 +137,9 @@ def main() -> None:
     """Parse, send, tell."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--span", type=float, default=30.0, help="seconds; early moments are likelier")
+    parser.add_argument(
+        "--span", type=float, default=30.0, help="seconds; early moments are likelier"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     result = Result(

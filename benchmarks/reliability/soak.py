@@ -1,8 +1,8 @@
 """An hour of 2 x 8 environments: ``python -m reliability.soak --minutes 60``.
 
-Every process's own memory (``RssAnon``: a replay's files are mapped, and are the kernel's to keep or
-to drop) is read all the time. Its slope is that of a line through the means of twenty equal parts of
-the last three quarters, with the interval of 95 % that their residuals give.
+Every process's own memory is read once a second: ``RssAnon``, for the files of a replay are mapped,
+and are the kernel's to keep or to drop. Its slope is that of a line through the means of twenty
+equal parts of the last three quarters, with the interval of 95 % that their residuals give.
 """
 
 import argparse
@@ -33,7 +33,15 @@ def soak(variant: str, minutes: float, env: str, place: Path) -> Result:
             "--metrics-port", "-1",
         )  # fmt: skip
         actor = commands.start(
-            "actor", "--n", "2", "--envs", "8", "--connect", commands.endpoint, "--metrics-port", "-1"
+            "actor",
+            "--n",
+            "2",
+            "--envs",
+            "8",
+            "--connect",
+            commands.endpoint,
+            "--metrics-port",
+            "-1",
         )
         wait_for(lambda: rows(path / "updates.csv") >= 3, "the first updates", 600.0)
         names = {learner.process.pid: "learner", actor.process.pid: "supervisor"}
@@ -50,7 +58,9 @@ def soak(variant: str, minutes: float, env: str, place: Path) -> Result:
         slope, half = line(samples[len(samples) // 4 :])
         result.figures[name] = f"{samples[-1][1]:.0f} MB, {slope:+.2f} +- {half:.2f} MB/h"
         grows = slope + half > _MOST_PER_HOUR
-        result.add("may grow by more than 1 MB/h" if grows else "", of=f"{name}: {result.figures[name]}")
+        result.add(
+            "may grow by more than 1 MB/h" if grows else "", of=f"{name}: {result.figures[name]}"
+        )
     return result
 
 

@@ -40,7 +40,9 @@ class Result:
         """Keep median and 95th percentile of some seconds."""
         if values:
             ordered = sorted(values)
-            middle, high = (ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in (0.5, 0.95))
+            middle, high = (
+                ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in (0.5, 0.95)
+            )
             self.figures[name] = f"median {middle:.1f} s, p95 {high:.1f} s, n {len(ordered)}"
 
 
