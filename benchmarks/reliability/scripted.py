@@ -134,11 +134,13 @@ class ScriptedRun:
             configuration=configuration,
             spaces=SPACES,
             layout=(),
+            episode_limit=None,
             bus=InProcessBus(exchange),
             path=self.path,
             metrics=LearnerMetrics(),
             view=PlainView(io.StringIO()),
             resume=resume,
+            mark=0,
         )
         place = _place(self.path)
         place.write_config(configuration)

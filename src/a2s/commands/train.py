@@ -34,6 +34,7 @@ from a2s.commands.process import (
 from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration
+from a2s.learner.run.writing import writing
 from a2s.protocol import passwords
 from a2s.protocol.access import ACTOR
 from a2s.protocol.errors import A2SError, UsageError
@@ -137,11 +138,13 @@ def _run(
     log, before = path / ACTORS_LOG, _starts(path)
     with ExitStack() as stack:
         learner = stack.enter_context(starting)
-        actor_log = stack.enter_context(log.open("a"))
+        with writing(log):
+            actor_log = stack.enter_context(log.open("a"))
         actors = stack.enter_context(started(actor_options, actor_log, niceness=_NICENESS))
         evaluator: Process | None = None
         if evaluator_options:
-            other_log = stack.enter_context((path / EVALUATOR_LOG).open("a"))
+            with writing(path / EVALUATOR_LOG):
+                other_log = stack.enter_context((path / EVALUATOR_LOG).open("a"))
             evaluator = stack.enter_context(
                 started(evaluator_options, other_log, niceness=_NICENESS)
             )
