@@ -100,6 +100,8 @@ def _judge(killed: Killed, run: ScriptedRun, ended: Ended) -> tuple[str, str]:
     last = (ended.words.strip().splitlines() or [""])[-1]
     if ended.is_one_line:
         return "refused", "" if str(run.path) in last else f"does not name a file: {last}"
+    if ended.code and "is lost, though its steps count" in ended.words:
+        return "repaired with a line", ""  # scripted actors do not play the same weights again
     if ended.code:
         return "refused", ended.defect
     said = [w for w in ended.words.splitlines() if w not in killed.words.splitlines()]

@@ -7,6 +7,7 @@ was acknowledged is lost, and ``--resume`` with room goes on to what a run witho
 
 import argparse
 import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -72,26 +73,28 @@ def real(variant: str, first: int, stride: int, faults: Faults) -> Result:
         "ends by itself, with one line if it fails; a2s doctor is content; --resume balances",
     )
     path = faults.place / f"train-{variant}"
-    at, most = first, first
+    new = (*REACH, *TRAIN[variant])
     with Commands(faults.place.parent) as commands:
         arguments = ("--run-dir", str(path), "--metrics-port", "-1")
-        while at <= most:
+        faults.arm(Fault.NOTHING)
+        undisturbed = _ends(commands, ("train", *new, *arguments), faults.environ())
+        assert undisturbed == ("", 0), undisturbed
+        writes = faults.count()  # of one without faults: others end early
+        shutil.rmtree(path)
+        for at in range(first, writes + 1, stride):
             for name, fault in FULL.items():
                 faults.arm(fault, at)
-                new = (*REACH, *TRAIN[variant])
                 told = _ends(commands, ("train", *new, *arguments), faults.environ())
-                most = max(most, faults.count())
                 faults.arm(Fault.NOTHING)
                 is_begun = (path / "config.toml").exists()
-                wrong = told[0] or not_whole(path)
+                wrong = told[0] or (not_whole(path) if is_begun else "")
                 go_on = ("--resume", "--episodes", "1") if is_begun else new
                 again = _ends(commands, ("train", *go_on, *arguments), os.environ)
                 failed = f"then code {again[1]}" if again[1] else ""
                 balance = unbalanced(path) if not again[1] else ""
                 result.add(wrong, again[0], failed, balance, of=f"{name} {at}, code {told[1]}")
-                _remove(path)
-            at += stride
-    result.figures["writes"] = str(most)
+                shutil.rmtree(path, ignore_errors=True)
+    result.figures["writes"] = str(writes)
     return result
 
 
@@ -112,12 +115,6 @@ def _ends(
     if code == 0 or (code == 1 and last[0].startswith("a2s: ")):
         return "", code
     return f"code {code}: {last[0]}", code
-
-
-def _remove(path: Path) -> None:
-    import shutil
-
-    shutil.rmtree(path, ignore_errors=True)
 
 
 def main() -> None:
