@@ -18,6 +18,7 @@ from reliability.trial import Result, folder, tell
 from scipy import stats
 
 _EVERY_S, _PARTS = 1.0, 20
+_LEAST_MINUTES = 30.0  # before that everything still grows, and slopes are shown only
 _MOST_PER_HOUR = 1.0  # MB
 Sample = tuple[float, float]  # hours, MB
 
@@ -57,7 +58,7 @@ def soak(variant: str, minutes: float, env: str, place: Path) -> Result:
     for name, samples in memory.items():
         slope, half = line(samples[len(samples) // 4 :])
         result.figures[name] = f"{samples[-1][1]:.0f} MB, {slope:+.2f} +- {half:.2f} MB/h"
-        grows = slope + half > _MOST_PER_HOUR
+        grows = minutes >= _LEAST_MINUTES and slope + half > _MOST_PER_HOUR
         result.add(
             "may grow by more than 1 MB/h" if grows else "", of=f"{name}: {result.figures[name]}"
         )
