@@ -41,6 +41,17 @@ def is_awaited(endpoint: str) -> bool:
         return False
 
 
+def has_address(endpoint: str) -> bool:
+    """Whether the host of an endpoint has an address here."""
+    if endpoint.startswith("unixsock-stream/"):
+        return True
+    try:
+        socket.getaddrinfo(*_host_and_port(endpoint))
+    except (OSError, UnicodeError):
+        return False
+    return True
+
+
 def why(endpoint: str, identity: Identity) -> str:
     """Find out why what listens at ``endpoint`` does not let this peer in; empty: unknown."""
     if endpoint.startswith("tls/") and identity.folder is not None:

@@ -112,17 +112,16 @@ class ZenohBus:
                 if is_awaited and (session := _once(endpoint, identity, settings)) is not None:
                     return cls(session)
                 now = time.monotonic()
-                nobody = f"no learner at {endpoint} after {now - begin:.0f} s"
-                if is_awaited:
-                    nobody += ", though something listens there: it may hang"
-                    nobody += "" if identity.folder is None else ", or be without --tls"
-                if not proceed():
+                goes_on = proceed()
+                if goes_on and now - said < _PATIENCE_S:
+                    continue
+                nobody = _nobody(endpoint, now - begin, identity, is_awaited=is_awaited)
+                if not goes_on:
                     raise UnreachableError(
                         f"{nobody}; start `a2s learner`, or name its endpoint with --connect"
                     ) from None
-                if now - said >= _PATIENCE_S:
-                    said = now
-                    logger.warning("%s; still trying, start `a2s learner` there", nobody)
+                said = now
+                logger.warning("%s; still trying, start `a2s learner` there", nobody)
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Query ``key``; an error reply, a timeout and silence are all ``None``."""
@@ -244,6 +243,15 @@ def _answer(key: str, handler: Answer, query: zenoh.Query) -> None:
         answer = handler(b"" if query.payload is None else bytes(query.payload))
         if answer is not None:
             query.reply(query.key_expr, answer)
+
+
+def _nobody(endpoint: str, waited_s: float, identity: Identity, *, is_awaited: bool) -> str:
+    """Say who is missing, with what is known of the reason."""
+    found = f"no learner at {endpoint} after {waited_s:.0f} s"
+    if is_awaited:
+        found += ", though something listens there: it may hang"
+        return found if identity.folder is None else f"{found}, or be without --tls"
+    return found if refusal.has_address(endpoint) else f"{found}: its host has no address here"
 
 
 def _once(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.Session | None:

@@ -29,7 +29,7 @@ def test_the_wheel_has_every_module_and_nothing_else(wheel: Path) -> None:
         for file in (ROOT / folder).rglob("*")
         if file.is_file() and "__pycache__" not in file.parts
     }
-    own = [ROOT / "src/a2s/__init__.py", ROOT / "src/a2s/cli.py", ROOT / "src/a2s/py.typed"]
+    own = [ROOT / "src/a2s" / name for name in ("__init__.py", "cli.py", "start.py", "py.typed")]
     own += (ROOT / "src/a2s/commands").glob("*.py")
     expected |= {str(file.relative_to(ROOT / "src")) for file in own}
     with zipfile.ZipFile(wheel) as archive:

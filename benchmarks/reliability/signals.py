@@ -44,7 +44,7 @@ class Training:
     def __init__(self, commands: Commands, path: Path, *options: str, has_terminal: bool) -> None:
         self.log, self._master = commands.folder / "train.log", -1
         arguments = ("train", *REACH, *options, "--total-steps", "100000000")
-        command = [sys.executable, "-P", "-m", "a2s.cli", *arguments, "--run-dir", str(path)]
+        command = [sys.executable, "-P", "-m", "a2s.start", *arguments, "--run-dir", str(path)]
         out = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         if has_terminal:
             self._master, slave = pty.openpty()

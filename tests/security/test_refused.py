@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from secured import free_port
 
+from a2s.protocol import refusal
 from a2s.protocol.certificates import Authority
 from a2s.protocol.errors import RefusedError, UnreachableError
 from a2s.protocol.identity import ANYBODY, Identity, Security
@@ -161,3 +162,13 @@ def test_a_name_that_is_not_listed_is_met_with_silence(certs: Path, tmp_path: Pa
             with closing(ZenohBus.connect(endpoint, lambda: False, peer)) as bus:
                 assert bus.present(keys.live_learner, 5.0) == ([keys.live_learner] * bool(answer))
                 assert bus.ask(keys.status, b"", 5.0) == answer
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "expected"),
+    [("tcp/a..b:7447", False), ("tcp/127.0.0.1:7447", True), ("tls/[::1]:7447", True)],
+)
+def test_a_host_without_an_address_is_told_from_one_without_a_learner(
+    endpoint: str, expected: bool
+) -> None:
+    assert refusal.has_address(endpoint) is expected

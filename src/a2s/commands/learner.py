@@ -37,7 +37,7 @@ from a2s.learner.replay.files import Description
 from a2s.learner.replay.remote import RemoteReplay
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration, Hyper
-from a2s.learner.run.memory import keep_freed_memory
+from a2s.learner.run.memory import keep_freed_memory, require_room
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
@@ -189,6 +189,7 @@ def prepare(configuration: Configuration, out: TextIO) -> tuple[Described | None
     with stop_on_signals() as stop:
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
         if described is not None:
+            require_room(configuration.hyper, described.spaces)
             _compile(configuration.hyper, out)
     return None if stop.interrupted else described, stop
 
@@ -320,6 +321,9 @@ def _prepare_process(run: RunConfig) -> None:
     log_warnings()
     if run.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")
+    cores = len(os.sched_getaffinity(0))
+    if run.threads > cores:
+        raise UsageError(f"threads: found {run.threads}, expected at most the {cores} cores here")
     torch.set_num_threads(run.threads)
     keep_freed_memory()
 

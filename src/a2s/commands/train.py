@@ -48,7 +48,7 @@ _NICENESS = 5  # of actors: where there are more threads than cores, the learner
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 ACTORS_LOG, EVALUATOR_LOG = "actors.log", "evaluator.log"
 
-PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.cli")
+PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.start")
 Process = subprocess.Popen[bytes]
 
 
