@@ -16,9 +16,9 @@ from reliability.scripted import ACTORS, Ended, ScriptedRun
 from reliability.trial import Result, folder, tell
 
 from a2s.learner.ingest import journal
-from a2s.learner.ingest.ledger import Ledger
+from a2s.learner.ingest.ledger import Ledger, Mark
 from a2s.learner.replay import directory as replay
-from a2s.learner.run import checkpoint
+from a2s.learner.run import checkpoint, saver
 from a2s.protocol.errors import A2SError
 
 SHORT = {
@@ -146,14 +146,15 @@ def _reader(name: str, run: Path) -> Callable[[], list[object]] | None:
     if name.startswith("journal"):
         return lambda: [repr(each) for each in journal.read(run / "journal", journal.Place())[0]]
     if name == "segments.log":
-        return lambda: [_ledger(run / name)]
+        known = saver.ledger_mark(checkpoint.load(run / "checkpoints")[1])
+        return lambda: [_ledger(run / name, known)]
     if name == "replay/index-1.log":
         return lambda: _rows(run / "replay")
     return None
 
 
-def _ledger(path: Path) -> object:
-    ledger = Ledger(path)
+def _ledger(path: Path, mark: Mark | None) -> object:
+    ledger = Ledger(path, mark)
     try:
         known = [
             (slot, n)
