@@ -61,9 +61,10 @@ def test_without_a_baseline_there_is_no_ratio(monkeypatch: pytest.MonkeyPatch) -
     ("suite", "names"),
     [
         ("actor", ["Hopper-v5: a2s, K 10", "HalfCheetah-v5: random actions"]),
-        (
+        pytest.param(
             "learner",
             ["a2s sac, f32", f"a2s sac, {FASTEST}, K_target 4", f"a2s sac, {FASTEST}, two threads"],
+            marks=pytest.mark.long,
         ),
         ("wire", ["encode: a2s", "acknowledged: zenoh", "acknowledged: bare tcp"]),
         ("replay", ["uniform sample: a2s, files", "open 1,000,000 rows"]),
