@@ -40,3 +40,16 @@ def test_an_async_run_is_learned_again_to_the_same_weights(
     assert refused.code == 2
     assert "run has no checkpoint whose journal is there" in refused.last
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.long
+def test_the_run_that_compiles_repeats_to_the_same_weights(tmp_path: Path) -> None:
+    """The first run of a machine is as those that load what it has compiled."""
+    weights = []
+    for run in ("first", "second"):
+        options = (*REACH, *FAST, "--total-steps", "600", "--seed", "3", "--run-dir", run, "--json")
+        done = a2s("train", *options, cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+        assert done.code == 0, done.err
+        assert ("compiling" in done.err) == (run == "first")
+        weights.append(json.loads(done.out.splitlines()[-1])["weights_sha256"])
+    assert weights[0] == weights[1]

@@ -4,6 +4,7 @@ import json
 import os
 import secrets
 import shlex
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -200,11 +201,30 @@ def _compile(hyper: Hyper, out: TextIO) -> None:
     if isinstance(hyper, OffPolicyConfig):
         if not off_policy_warm_up.is_compiled():
             typer.echo(announced.format("ten seconds"), out)
+            _compile_elsewhere(off_policy_warm_up.__name__, repr(hyper.precision))
         off_policy_warm_up.warm_up(hyper.precision)
     elif isinstance(hyper, OnPolicyConfig):
         if not on_policy_warm_up.is_compiled():
             typer.echo(announced.format("half a minute"), out)
+            _compile_elsewhere(on_policy_warm_up.__name__)
         on_policy_warm_up.warm_up()
+
+
+def _compile_elsewhere(module: str, argument: str = "") -> None:
+    """Compile in another process, so that this one loads what is kept, as all later ones do.
+
+    Where loops are compiled, they call others as these were compiled for themselves; where they are
+    loaded, their own copies of these. The two round differently. If it fails, they are compiled
+    here.
+    """
+    subprocess.run(
+        [sys.executable, "-c", f"from {module} import warm_up; warm_up({argument})"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        process_group=0,
+        check=False,
+    )
 
 
 def learn_from(
