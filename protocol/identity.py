@@ -100,7 +100,7 @@ class Security:
         if self.tls is not None:
             own = _certified(Path(self.tls), (LEARNER,), "listen")
             assert own.folder is not None
-            rules = access.rules(keys, "cert_common_names", [LEARNER, *_names(own.folder)])
+            rules = access.rules(keys, "cert_common_names", [LEARNER, *names_in(own.folder)])
             return Identity(own.name, own.folder, {**own.settings, "access_control": rules})
         if self.password_file is not None:
             users = passwords.users(Path(self.password_file))
@@ -169,14 +169,15 @@ def _certified(tls: Path, roles: tuple[str, ...], side: str) -> Identity:
     return Identity(name, folder, {f"transport/link/tls/{n}": v for n, v in settings.items()})
 
 
-def _names(folder: Path) -> list[str]:
+def names_in(folder: Path) -> list[str]:
     """Read the names of those who may join."""
     path = folder / NAMES_FILE
     try:
         names = path.read_text().split()
-    except OSError as error:
+    except (OSError, ValueError) as error:
+        found = error.strerror if isinstance(error, OSError) else "is no text"
         raise UsageError(
-            f"{path}: {error.strerror}; expected the names of certificates that may join, one a "
+            f"{path}: {found}; expected the names of certificates that may join, one a "
             "line, as `a2s certs` writes them"
         ) from None
     for name in names:

@@ -1,6 +1,7 @@
 """a2s doctor RUN: every file that --resume reads is verified, and named if it is damaged."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -44,6 +45,13 @@ def test_of_a_whole_run_all_is_ok(make_run: Callable[[str], Path]) -> None:
         assert {state for state, _ in found.values()} == {"ok"}
         assert {"ledger", "journal"} < set(found)
         assert ("replay" in found) == (variant == "off-policy")
+
+
+def test_a_replay_that_is_gone_is_missed(make_run: Callable[[str], Path]) -> None:
+    path = make_run("off-policy")
+    shutil.rmtree(path / "replay")
+    code, found = _examine(path)
+    assert (code, found["replay"]) == (1, ("fail", f"{path / 'replay'} is not there any more"))
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,11 @@ def test_an_async_run_is_learned_again_to_the_same_weights(
     assert again["weights_sha256"] == summary["weights_sha256"]
     assert again["updates"] == summary["updates"]
     assert len(again["equal"]) >= 2
+    if variant == "off-policy":
+        (tmp_path / "run" / "replay").rename(tmp_path / "moved")
+        refused = a2s(*told, "other", cwd=tmp_path)
+        assert (refused.code, "replay is not there any more" in refused.last) == (2, True)
+        assert not (tmp_path / "other").exists()
     shutil.rmtree(tmp_path / "run" / "journal")
     refused = a2s(*told, "other", cwd=tmp_path)
     assert refused.code == 2

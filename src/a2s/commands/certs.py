@@ -11,7 +11,7 @@ from a2s.protocol import access
 from a2s.protocol.access import ACTOR, LEARNER, VIEWER
 from a2s.protocol.certificates import AUTHORITY, AUTHORITY_KEY, KEY, Authority
 from a2s.protocol.errors import UsageError
-from a2s.protocol.identity import NAMES_FILE
+from a2s.protocol.identity import NAMES_FILE, names_in
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 _RENEWED = timedelta(days=30)
@@ -48,7 +48,7 @@ def make(
 
     learner, names_file = folder / LEARNER, folder / LEARNER / NAMES_FILE
     old = [each.name for each in folder.iterdir() if access.role_of(each.name) in _USES]
-    listed = names_file.read_text().split() if names_file.exists() else old
+    listed = names_in(folder / LEARNER) if names_file.exists() else old
     made = authority.issued(learner)
     wanted = {*_LOCAL, *(hosts or (made.hosts if made else ()))}
     if made is None or made.expires < now + _RENEWED or wanted != set(made.hosts):

@@ -36,7 +36,7 @@ def examine_run(path: Path) -> Iterator[Finding]:
         places = [saver.place(state) for state in whole if state["journal"] is not None]
         if places:
             yield _finding("journal", lambda: _journal(path / "journal", places))
-        if (path / "replay" / files.NAME).exists():
+        if (path / "replay" / files.NAME).exists() or any(map(_has_replay, whole)):
             yield _finding("replay", lambda: _replay(path / "replay"))
 
 
@@ -78,7 +78,14 @@ def _journal(folder: Path, places: list[journal.Place]) -> str:
     return f"{again} batches since the newest whole checkpoint, learned again by --resume"
 
 
+def _has_replay(state: checkpoint.State) -> bool:
+    """Whether a checkpoint has learned from a replay of the run."""
+    return state["journal"] is not None and "learned_from" in state["algorithm"]
+
+
 def _replay(path: Path) -> str:
+    if not (path / files.NAME).exists():
+        raise RunDirectoryError(f"{path} is not there any more; restore it: --resume refuses")
     found = replay.look_at(path, alone=True)
     found.close()
     torn = f", {found.torn_records} torn records at its end" if found.torn_records else ""

@@ -6,6 +6,7 @@ import secrets
 import shlex
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -50,6 +51,8 @@ from a2s.protocol.identity import Security, is_local
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
 from a2s.protocol.zenoh_bus import ZenohBus, check_endpoint
+
+_POLL_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,40 +194,45 @@ def prepare(configuration: Configuration, out: TextIO) -> tuple[Described | None
         described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
         if described is not None:
             require_room(configuration.hyper, described.spaces)
-            _compile(configuration.hyper, out)
+            _compile(configuration.hyper, out, stop)
     return None if stop.interrupted else described, stop
 
 
-def _compile(hyper: Hyper, out: TextIO) -> None:
+def _compile(hyper: Hyper, out: TextIO, stop: Stop) -> None:
     """Load what an update calls; on a new machine that takes a while, and is said."""
     announced = "compiling what the learner computes: once, in about {}"
     if isinstance(hyper, OffPolicyConfig):
         if not off_policy_warm_up.is_compiled():
             typer.echo(announced.format("ten seconds"), out)
-            _compile_elsewhere(off_policy_warm_up.__name__, repr(hyper.precision))
-        off_policy_warm_up.warm_up(hyper.precision)
+            _compile_elsewhere(off_policy_warm_up.__name__, repr(hyper.precision), stop)
+        if not stop.is_set():
+            off_policy_warm_up.warm_up(hyper.precision)
     elif isinstance(hyper, OnPolicyConfig):
         if not on_policy_warm_up.is_compiled():
             typer.echo(announced.format("half a minute"), out)
-            _compile_elsewhere(on_policy_warm_up.__name__)
-        on_policy_warm_up.warm_up()
+            _compile_elsewhere(on_policy_warm_up.__name__, "", stop)
+        if not stop.is_set():
+            on_policy_warm_up.warm_up()
 
 
-def _compile_elsewhere(module: str, argument: str = "") -> None:
+def _compile_elsewhere(module: str, argument: str, stop: Stop) -> None:
     """Compile in another process, so that this one loads what is kept, as all later ones do.
 
     Where loops are compiled, they call others as these were compiled for themselves; where they are
     loaded, their own copies of these. The two round differently. If it fails, they are compiled
-    here.
+    here. It ends at once when this process is to stop.
     """
-    subprocess.run(
+    with subprocess.Popen(
         [sys.executable, "-c", f"from {module} import warm_up; warm_up({argument})"],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         process_group=0,
-        check=False,
-    )
+    ) as process:
+        while process.poll() is None:
+            if stop.is_set():
+                process.kill()
+            time.sleep(_POLL_S)
 
 
 def learn_from(

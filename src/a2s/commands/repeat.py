@@ -34,30 +34,36 @@ def repeat(configuration: Configuration, place: Place, source: Path) -> int:
     Raises:
         A2SError: ``source`` has nothing to learn again from, or the weights differ.
     """
+    if place.path.exists() and any(place.path.iterdir()):
+        raise UsageError(f"--run-dir: {place.path} is not empty; name another")
     run = replace(configuration.run, evaluate_every=0, tensorboard=False)
     configuration = replace(configuration, run=run)
     described, stop = prepare(configuration, place.out)
     if described is None:
         return stop.exit_code
-    with run_directory.claimed(source):
-        _copy(source, place.path)
-        known = _tensors(source)
     with (
+        run_directory.claimed(source),
         place.opened(run) as (stop, metrics, _),
         closing(make_view(f"again: {source}", quiet=place.as_json)) as view,
     ):
-        learner = make_learner(
-            configuration=configuration,
-            spaces=described.spaces,
-            layout=described.layout,
-            episode_limit=described.episode_limit,
-            bus=InProcessBus(Exchange()),
-            path=place.path,
-            metrics=metrics,
-            view=view,
-            resume=True,
-            mark=0,  # nobody joins it
-        )
+        try:
+            _copy(source, place.path)
+            learner = make_learner(
+                configuration=configuration,
+                spaces=described.spaces,
+                layout=described.layout,
+                episode_limit=described.episode_limit,
+                bus=InProcessBus(Exchange()),
+                path=place.path,
+                metrics=metrics,
+                view=view,
+                resume=True,
+                mark=0,  # nobody joins it
+            )
+        except A2SError:
+            shutil.rmtree(place.path)
+            raise
+        known = _tensors(source)
         place.write_config(configuration)
         summary = learner.run(stop.is_set, only_again=True)
     found = _tensors(place.path)
@@ -87,6 +93,11 @@ def _copy(source: Path, path: Path) -> None:
     else:
         raise UsageError(
             f"--replay-journal: {source} has no checkpoint whose journal is there; name another run"
+        )
+    if "learned_from" in state["algorithm"] and not (source / "replay").exists():
+        raise UsageError(
+            f"--replay-journal: {source / 'replay'} is not there any more; restore it, or name "
+            "another run"
         )
     with writing(path):
         shutil.copytree(each, path / _CHECKPOINTS / each.name)
