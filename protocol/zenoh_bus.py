@@ -273,9 +273,13 @@ def _once(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.
         raise RefusedError(f"{endpoint}: {found}")
     if is_refused and identity.folder is None:
         who = f"user {identity.name!r} with this password" if identity.name else "this peer"
+        expected = (
+            "a learner with the same line in its --password-file; or give none if it wants none"
+            if identity.name
+            else "a user; name a file with its line with --password-file, or give A2S_PASSWORD"
+        )
         raise RefusedError(
-            f"{endpoint}: what listens there does not let {who} in; expected a learner with the "
-            "same line in its --password-file, or without one for a peer without one"
+            f"{endpoint}: what listens there does not let {who} in; expected {expected}"
         )
     return None
 
