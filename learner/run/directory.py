@@ -124,7 +124,10 @@ def endpoint(path: Path) -> str:
     try:
         with (path / LOCK).open() as file, contextlib.suppress(BlockingIOError):
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            raise UsageError(f"{path}: no learner is at work there; summary.json has how it ended")
+            raise UsageError(
+                f"{path}: no learner is at work there; summary.json has how it ended, or it was "
+                f"killed: go on with --resume --run-dir {path}"
+            )
         return (path / ENDPOINT).read_text()
     except (OSError, ValueError):
         raise UsageError(
