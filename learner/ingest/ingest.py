@@ -65,6 +65,7 @@ class Ingest:
         self._round: Round | None = None
         self._longest = 0  # segment of all that the quotas so far allow
         self._useless = 0  # segments that were refused, or were for another learner
+        self._usual_envs = admission.run.n * admission.run.envs
         self._has_begun = False
         self._failure: RunDirectoryError | None = None
         metrics.env_steps.inc(ledger.accepted_steps)  # of earlier starts
@@ -232,11 +233,17 @@ class Ingest:
 
     @property
     def num_envs(self) -> int:
-        """Environments of all actors that are heard, or of those that are expected first."""
+        """Environments of all actors that are heard, or of those that are expected.
+
+        At first that is the run's number, later as many as there were before all had left.
+        """
         with self._changed:
+            present = self._members.num_envs(time.monotonic())
             run = self._admission.run
-            expected = 0 if self._has_begun else run.n * run.envs
-            return max(1, expected, self._members.num_envs(time.monotonic()))
+            if not self._has_begun:
+                return max(present, run.n * run.envs)
+            self._usual_envs = present or self._usual_envs
+            return self._usual_envs
 
     def attendance(self) -> Attendance:
         """Give the actors present, and the fate of their segments."""

@@ -357,7 +357,8 @@ def _prepare_process(run: RunConfig) -> None:
 
 
 def _banner(run: RunConfig, path: Path, endpoint: str, security: Security, metrics_url: str) -> str:
-    connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
+    there = endpoint.replace("/0.0.0.0:", "/HOST:").replace("/[::]:", "/HOST:")
+    connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {there}"
     name = "" if run.run == "default" else f" --run {run.run}"
     name += "".join(f" --allow-env {shlex.quote(code)}" for code in run.env_config().code)
     if security.tls is not None:

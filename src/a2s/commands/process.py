@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any, TextIO, TypeVar, cast
@@ -21,6 +22,7 @@ Served = TypeVar("Served")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _STANDARD_ERROR = 2
 _CHILD_S = 120.0
+_REPEATED_S = 1.0
 
 
 def exit_code(number: int) -> int:
@@ -46,13 +48,21 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Give the event that signals set; a second signal ends the process at once."""
-    stop = Stop()
+    """Give the event that signals set; a second signal ends the process at once.
+
+    But not the same one within a second, except Ctrl-C: ``timeout`` and service managers send it to
+    a process and to its group.
+    """
+    stop, first_s = Stop(), 0.0
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
+        nonlocal first_s
         if stop.interrupted:
+            is_repeated = number == stop.number and time.monotonic() - first_s < _REPEATED_S
+            if number != signal.SIGINT and is_repeated:
+                return
             os._exit(stop.exit_code)
-        stop.number = number
+        stop.number, first_s = number, time.monotonic()
         stop.set()
 
     before = {number: signal.signal(number, on_signal) for number in _signals()}

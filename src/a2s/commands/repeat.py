@@ -74,7 +74,10 @@ def repeat(configuration: Configuration, place: Place, source: Path) -> int:
             f"{place.path}: checkpoint {unequal[0]} differs from that of {source}; was it made "
             "with other settings, another release, or another processor?"
         )
-    typer.echo(f"{summary['updates']:,} updates, equal: checkpoints {', '.join(both)}", place.out)
+    typer.echo(
+        f"{summary['updates']:,} updates in {place.path}, equal: checkpoints {', '.join(both)}",
+        place.out,
+    )
     if place.as_json:
         typer.echo(json.dumps(summary | {"equal": both}))
     return stop.exit_code

@@ -54,6 +54,7 @@ def learner(
                 "leave them out"
             )
         config = Path(replay_journal) / "config.toml"
+        run_dir = run_dir or Path(f"{Path(replay_journal)}-again")
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")

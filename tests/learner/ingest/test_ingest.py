@@ -342,6 +342,17 @@ def test_members_that_are_silent_have_no_share_of_the_quota(run: _Run) -> None:
     assert run.ingest.num_envs == 100
 
 
+def test_who_has_left_is_expected_back_with_as_many_environments(run: _Run) -> None:
+    """Weights that come out meanwhile are for them: one environment alone would play a batch."""
+    run.join("a", num_envs=3)
+    run.join("b", num_envs=4)
+    assert run.ingest.num_envs == 7
+    run.ingest.gone("b")
+    assert run.ingest.num_envs == 3
+    run.ingest.gone("a")
+    assert run.ingest.num_envs == 3
+
+
 def test_a_run_has_at_most_so_many_environments(run: _Run) -> None:
     for number in range(16):
         run.join(f"a{number}", num_envs=4096)
