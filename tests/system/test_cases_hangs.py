@@ -52,6 +52,7 @@ def test_who_dies_again_and_again_is_given_up_and_the_others_go_on(tmp_path: Pat
     assert len(trained.events("restart")) == 4
 
 
+@pytest.mark.long
 def test_a_close_that_never_returns_hinders_nobody(tmp_path: Path) -> None:
     options = ("--env-kwargs", "where=close", "--env-timeout", "2")
     trained = train(tmp_path, "a2s_case_processes:HangsAlways-v0", *options, *SMALL)
@@ -60,6 +61,7 @@ def test_a_close_that_never_returns_hinders_nobody(tmp_path: Path) -> None:
     assert "evaluation" in trained.summary
 
 
+@pytest.mark.long
 def test_no_more_environments_are_open_at_once_than_one_actor_has(tmp_path: Path) -> None:
     """Each is a device until its process ends: the learner has looked at it, and gave it back."""
     options = ("--env-kwargs", f"notes={tmp_path}", "--env-kwargs", "places=1", "--envs", "1")

@@ -84,6 +84,7 @@ def test_nobody_survives_a_killed_train(train: Command, notes: Path, wait_for: W
     wait_for(lambda: _living(notes) == {}, "all helpers to end", timeout_s=30.0)
 
 
+@pytest.mark.long
 def test_nobody_waits_for_helpers_at_the_end_of_a_training_and_of_an_evaluation(
     tmp_path: Path, notes: Path
 ) -> None:

@@ -58,9 +58,8 @@ def test_prints_of_every_kind(control: Trained, tmp_path: Path) -> None:
     assert "no end of a line" in trained.actors_log()
 
 
-@pytest.mark.parametrize(
-    "closed", ["before it starts", pytest.param("by its reader", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("closed", ["before it starts", "by its reader"])
 def test_prints_without_a_place_to_go(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor, closed: str
 ) -> None:
@@ -86,12 +85,10 @@ def test_prints_without_a_place_to_go(
     assert actor.returncode == 143
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
-    [
-        pytest.param(("scale=9.5367431640625e-07",), marks=pytest.mark.long),
-        ("dtype=float64", "offset=100000000.0"),
-    ],
+    [("scale=9.5367431640625e-07",), ("dtype=float64", "offset=100000000.0")],
     ids=["tiny", "far from zero in float64"],
 )
 def test_observations_of_another_scale_are_learned_from_alike(

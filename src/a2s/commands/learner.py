@@ -29,10 +29,8 @@ from a2s.commands.process import (
 )
 from a2s.learner.learner import Learner
 from a2s.learner.make import make_learner, make_replay_learner
-from a2s.learner.off_policy import warm_up as off_policy_warm_up
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy_trainer import AnyReplay
-from a2s.learner.on_policy import warm_up as on_policy_warm_up
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.replay import directory
 from a2s.learner.replay.files import Description
@@ -201,13 +199,18 @@ def prepare(configuration: Configuration, out: TextIO) -> tuple[Described | None
 def _compile(hyper: Hyper, out: TextIO, stop: Stop) -> None:
     """Load what an update calls; on a new machine that takes a while, and is said."""
     announced = "compiling what the learner computes: once, in about {}"
+    # Half a second of imports each: only who needs them.
     if isinstance(hyper, OffPolicyConfig):
+        from a2s.learner.off_policy import warm_up as off_policy_warm_up
+
         if not off_policy_warm_up.is_compiled():
             typer.echo(announced.format("ten seconds"), out)
             _compile_elsewhere(off_policy_warm_up.__name__, repr(hyper.precision), stop)
         if not stop.is_set():
             off_policy_warm_up.warm_up(hyper.precision)
     elif isinstance(hyper, OnPolicyConfig):
+        from a2s.learner.on_policy import warm_up as on_policy_warm_up
+
         if not on_policy_warm_up.is_compiled():
             typer.echo(announced.format("half a minute"), out)
             _compile_elsewhere(on_policy_warm_up.__name__, "", stop)
