@@ -69,6 +69,7 @@ def test_no_more_environments_are_open_at_once_than_one_actor_has(tmp_path: Path
     assert trained.summary["evaluation"]["episodes"] == 5
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_a_training_whose_environment_hangs(
     start: Start, tmp_path: Path, wait_for: WaitFor
 ) -> None:

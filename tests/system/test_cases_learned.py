@@ -49,6 +49,7 @@ def test_dropped_transitions_are_counted_and_said_everywhere(
     assert min(seen) > 0
 
 
+@pytest.mark.long
 def test_the_penalty_of_a_last_step_without_an_observation_is_in_the_replay(
     tmp_path: Path,
 ) -> None:

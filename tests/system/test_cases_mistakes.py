@@ -79,6 +79,7 @@ def test_an_evaluation_says_it_too(
     assert "Traceback" not in done.err + done.out
 
 
+@pytest.mark.long
 def test_a_mistake_in_a_step_ends_a_training_at_once(tmp_path: Path) -> None:
     """Also one that comes after an update; nothing is tried again."""
     env, begin_s = "a2s_case_mistakes:FourValuesLater-v0", time.monotonic()

@@ -127,6 +127,7 @@ def test_an_environment_of_the_working_directory_is_found_by_learner_actor_and_e
     assert evaluate(here, "run", "--episodes", "2")["lengths"] == [50, 50]
 
 
+@pytest.mark.long
 def test_information_of_an_episode_is_in_every_place(
     start: Start, endpoint: str, tmp_path: Path, wait_for: WaitFor
 ) -> None:

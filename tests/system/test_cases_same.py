@@ -26,6 +26,7 @@ def _returns(trained: Trained) -> list[float]:
     return [float(episode["return"]) for episode in trained.episodes()]
 
 
+@pytest.mark.long
 def test_an_environment_with_one_buffer_an_old_interface_and_another_directory(
     control: Trained, tmp_path: Path
 ) -> None:
@@ -42,6 +43,7 @@ def test_an_environment_with_one_buffer_an_old_interface_and_another_directory(
     assert [line for line in lines if "close raised RuntimeError: there is nothing to" in line]
 
 
+@pytest.mark.long
 def test_prints_of_every_kind(control: Trained, tmp_path: Path) -> None:
     """They are in the log, with the number of the worker."""
     trained = train(tmp_path, "a2s_case_processes:Noisy-v0", *SMALL)

@@ -19,6 +19,7 @@ OF_ASYNC = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "variant", ["on-policy", pytest.param("off-policy", marks=pytest.mark.long)]
 )

@@ -200,6 +200,7 @@ def test_actors_go_on_with_a_learner_that_begins_anew(
     _assert_balance(_summary(tmp_path / "two")["segments"])
 
 
+@pytest.mark.long
 def test_actors_that_cannot_work_end_the_training_with_the_reason(
     start: Start, tmp_path: Path
 ) -> None:

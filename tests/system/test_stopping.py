@@ -37,7 +37,11 @@ def _learner(train: Command) -> list[str]:
     ("moment", "number"),
     [
         (lambda train: "policy  " in train.text(), signal.SIGTERM),
-        (lambda train: "policy  " in train.text() and not _learner(train), signal.SIGINT),
+        pytest.param(
+            lambda train: "policy  " in train.text() and not _learner(train),
+            signal.SIGINT,
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             lambda train: "evaluating" in train.text(), signal.SIGTERM, marks=pytest.mark.long
         ),
@@ -54,6 +58,7 @@ def test_a_training_whose_learner_is_done_ends(
     _assert_quiet(train)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_an_evaluation_that_a_script_started_behind_itself(
     start: Start, wait_for: WaitFor
 ) -> None:
