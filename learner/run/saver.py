@@ -124,6 +124,11 @@ def ledger_mark(state: dict[str, Any]) -> Mark | None:
     return None if state["ledger"] is None else Mark(*state["ledger"])
 
 
+def has_replay(state: dict[str, Any]) -> bool:
+    """Whether a checkpoint of a run with actors has learned from a replay of its own."""
+    return state["journal"] is not None and "learned_from" in state["algorithm"]
+
+
 def obs_offset(state: dict[str, Any]) -> Array | None:
     """The environment's offset when a checkpoint was saved; the policy was trained with it."""
     offset = state["obs_offset"]

@@ -36,7 +36,7 @@ def examine_run(path: Path) -> Iterator[Finding]:
         places = [saver.place(state) for state in whole if state["journal"] is not None]
         if places:
             yield _finding("journal", lambda: _journal(path / "journal", places))
-        if (path / "replay" / files.NAME).exists() or any(map(_has_replay, whole)):
+        if (path / "replay" / files.NAME).exists() or any(map(saver.has_replay, whole)):
             yield _finding("replay", lambda: _replay(path / "replay"))
 
 
@@ -76,11 +76,6 @@ def _journal(folder: Path, places: list[journal.Place]) -> str:
     ends = [record.end for record in records if isinstance(record, journal.Taken)]
     again = sum(end > places[-1] for end in ends)
     return f"{again} batches since the newest whole checkpoint, learned again by --resume"
-
-
-def _has_replay(state: checkpoint.State) -> bool:
-    """Whether a checkpoint has learned from a replay of the run."""
-    return state["journal"] is not None and "learned_from" in state["algorithm"]
 
 
 def _replay(path: Path) -> str:

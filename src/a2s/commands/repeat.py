@@ -97,7 +97,7 @@ def _copy(source: Path, path: Path) -> None:
         raise UsageError(
             f"--replay-journal: {source} has no checkpoint whose journal is there; name another run"
         )
-    if "learned_from" in state["algorithm"] and not (source / "replay").exists():
+    if saver.has_replay(state) and not (source / "replay").exists():
         raise UsageError(
             f"--replay-journal: {source / 'replay'} is not there any more; restore it, or name "
             "another run"
