@@ -92,11 +92,11 @@ def test_an_actor_answers_no_question_of_others(site: Site, wait_for: WaitFor) -
     for key in (keys.weights, keys.hello, keys.hello_of(), keys.notice, f"a2s/2/{keys.run}/**"):
         rogue.answer(key, answer)
     rogue.present(keys.live_learner, 5.0)  # the learner has heard its declarations
-    version = site.status(victim).weights_version
+    generation = site.status(victim).generation
     for _ in range(10):
         weights = victim.ask(keys.weights, b"", 5.0)
         assert weights is not None
-        assert decode(weights, Weights).notice.version == version
+        assert decode(weights, Weights).notice.generation == generation
     join(victim, keys, "actor-lab1.answered", wait_for)
     assert heard == []
 
