@@ -221,6 +221,7 @@ class Actor:
         welcome = self._hello(hello)
         if welcome is not None:
             self._welcome, self._notice = welcome, None
+            self._outbox.window = welcome.window
             self._joining = replace(hello, cause="")  # it has been told
             self._weights.forget()
             self._metrics.joins.inc()
@@ -234,15 +235,19 @@ class Actor:
     def _join_again(self) -> None:
         """Say hello as when joining, once: the learner does not count this actor as a member.
 
-        On the sender's thread; when it does not help, the segment is unknown again.
+        On the outbox's thread; when it does not help, the segment is unknown again.
         """
         if self._joining is not None:
-            self._bus.ask(self._hello_key, encode(self._joining), _ASK_TIMEOUT_S)
+            self._ask(self._joining)
+
+    def _ask(self, hello: Hello) -> bytes | None:
+        if hello.spaces is not None:
+            hello = replace(hello, next_seq=self._outbox.answered)
+        return self._bus.ask(self._hello_key, encode(hello), _ASK_TIMEOUT_S)
 
     def _hello(self, hello: Hello) -> Welcome | None:
-        payload = encode(hello)
         while self._proceed():
-            reply = self._bus.ask(self._hello_key, payload, _ASK_TIMEOUT_S)
+            reply = self._ask(hello)
             if reply is not None:
                 answer = decode(reply, Welcome, Refusal)
                 if isinstance(answer, Refusal):

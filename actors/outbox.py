@@ -1,4 +1,4 @@
-"""A bounded queue that keeps every segment until the learner has answered it."""
+"""A bounded queue that keeps every segment until the learner has answered it (docs/adr/0034)."""
 
 import contextlib
 import random
@@ -24,16 +24,23 @@ class _Waiting(NamedTuple):
     steps: int
 
 
-class Outbox:
-    """Sends segments in order, one at a time, each until it is answered.
+class _Asked(NamedTuple):
+    answer: Callable[[], bytes | None]
+    begin_s: float
 
-    At least once on the wire: a segment without an answer is sent again, the same bytes. When the
+
+class Outbox:
+    """Sends segments in order, several at a time, each until it is answered.
+
+    At least once on the wire: when a segment gets no answer it is sent again, the same bytes, and
+    all that were sent after it; until it is answered nothing else is under way. When the
     outbox is full :meth:`put` blocks, so that an absent learner holds the actor back instead of
     filling its memory. ``capacity_steps`` may wait, in at most 256 MiB; at least one segment always
-    fits. On the sender's thread, ``on_ack`` gets every answer, and ``on_unknown`` is called when
+    fits. On a thread of its own, ``on_ack`` gets every answer, and ``on_unknown`` is called when
     the learner does not know this actor.
 
     Attributes:
+        window: Segments that may be without an answer at a time.
         steps: Steps that wait for an answer.
         answered: Segments that were answered.
     """
@@ -52,13 +59,22 @@ class Outbox:
         self._on_ack, self._on_unknown = on_ack, on_unknown
         self._metrics = metrics
         self._waiting: deque[_Waiting] = deque()
+        self._asked: deque[_Asked] = deque()  # of the first of those that wait
+        self._times_begun_again = 0
+        self.window = 1
         self.steps = self._bytes = 0
         self._random = random.Random()  # the global one is the environments'
         self.answered = 0
-        self._draining = self._closing = self._held_back = False
+        self._draining = self._closing = False
+        self._held_back = False  # the learner is behind
+        self._pausing = self._one_by_one = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._send_all, name="outbox")
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=run, name=f"outbox {run.__name__}")
+            for run in (self._ask_all, self._hear_all)
+        ]
+        for thread in self._threads:
+            thread.start()
         metrics.outbox_capacity.set(capacity_steps)
         metrics.outbox.set(0)
 
@@ -90,7 +106,7 @@ class Outbox:
         return fits and self._bytes + len(item.payload) <= _MAX_BYTES
 
     def close(self, timeout_s: float) -> int:
-        """Stop taking, send what waits, and end the thread; give the count of unanswered segments.
+        """Stop taking, send what waits, and end the threads; give the count of unanswered segments.
 
         It takes ``timeout_s`` seconds and one request at most. A learner that does not answer is
         not asked again: usually its run is over.
@@ -98,63 +114,103 @@ class Outbox:
         with self._changed:
             self._draining = True
             self._changed.notify_all()
-        self._thread.join(timeout_s)
-        self._closing = True
-        self._thread.join(_ASK_TIMEOUT_S)
+        self._threads[-1].join(timeout_s)
+        self._end()
+        for thread in self._threads:
+            thread.join(_ASK_TIMEOUT_S)
         left = sum(item.steps for item in self._waiting)
         if left:
             self._metrics.dropped.labels("shutdown").inc(left)
         return len(self._waiting)
 
-    def _send_all(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._draining or bool(self._waiting))
-                if not self._waiting:
-                    return
-                item = self._waiting[0]
-            ack = self._send(item)
-            if ack is None:
-                return
-            with self._changed:
-                self._waiting.popleft()
-                self._count(item, -1)
-                self.answered += 1
-                self._held_back = ack.wait_s > 0
-                self._changed.notify_all()
-            self._on_ack(ack)
-            self._pause(ack.wait_s)
+    def _end(self) -> None:
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+
+    def _is_over(self) -> bool:
+        return self._closing or (self._draining and not self._waiting)
 
     def _count(self, item: _Waiting, sign: int) -> None:
         self.steps += sign * item.steps
         self._bytes += sign * len(item.payload)
         self._metrics.outbox.set(self.steps)
 
-    def _send(self, item: _Waiting) -> Ack | None:
-        """Send until answered or closed; once only when the outbox is to be emptied."""
-        back_off_s, longest_s = _BACK_OFF_S
-        while not self._closing:
-            begin = perf_counter()
+    def _ask_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._is_over() or self._may_ask())
+                if self._is_over():
+                    return
+                item, begun = self._waiting[len(self._asked)], self._times_begun_again
             self._metrics.messages_sent.inc()
             self._metrics.sent_bytes.inc(len(item.payload))
-            reply = self._bus.ask(self._key, item.payload, _ASK_TIMEOUT_S)
-            ack = None
-            with contextlib.suppress(MalformedMessageError):  # then it is sent again
-                ack = None if reply is None else decode(reply, Ack)
-            if ack is not None and ack.verdict == "unknown":
-                self._on_unknown()
-            elif ack is not None:
-                self._metrics.send_seconds.observe(perf_counter() - begin)
-                self._metrics.acks.labels(ack.verdict).inc()
-                return ack
-            if self._draining:
-                return None
-            self._metrics.retries.inc()
-            self._pause(back_off_s * self._random.uniform(0.5, 1.0))
-            back_off_s = min(back_off_s * 2, longest_s)
-        return None
+            begin_s = perf_counter()
+            answer = self._bus.begin_asking(self._key, item.payload, _ASK_TIMEOUT_S)
+            with self._changed:
+                if begun == self._times_begun_again:
+                    self._asked.append(_Asked(answer, begin_s))
+                    self._changed.notify_all()
+
+    def _may_ask(self) -> bool:
+        at_most = 1 if self._held_back or self._one_by_one else self.window
+        return not self._pausing and len(self._asked) < min(at_most, len(self._waiting))
+
+    def _hear_all(self) -> None:
+        back_off_s, longest_s = _BACK_OFF_S
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._is_over() or bool(self._asked))
+                if self._is_over():
+                    return
+                asked = self._asked[0]
+            ack = _decoded(asked.answer())
+            if ack is None or ack.verdict == "unknown":
+                self._begin_again()
+                if ack is not None:
+                    self._on_unknown()
+                if self._draining:
+                    self._end()
+                    return
+                self._metrics.retries.inc()
+                self._pause(back_off_s * self._random.uniform(0.5, 1.0))
+                back_off_s = min(back_off_s * 2, longest_s)
+            else:
+                back_off_s = _BACK_OFF_S[0]
+                self._forget(asked, ack)
+                self._on_ack(ack)
+                if ack.wait_s > 0:
+                    self._pause(ack.wait_s)
+
+    def _begin_again(self) -> None:
+        """Nothing is under way any more; first of all comes the oldest."""
+        with self._changed:
+            self._asked.clear()
+            self._times_begun_again += 1
+            self._pausing = self._one_by_one = True
+
+    def _forget(self, asked: _Asked, ack: Ack) -> None:
+        """The oldest is answered."""
+        self._metrics.send_seconds.observe(perf_counter() - asked.begin_s)
+        self._metrics.acks.labels(ack.verdict).inc()
+        with self._changed:
+            self._asked.popleft()
+            self._count(self._waiting.popleft(), -1)
+            self.answered += 1
+            self._one_by_one = False
+            self._pausing = self._held_back = ack.wait_s > 0
+            self._changed.notify_all()
 
     def _pause(self, seconds: float) -> None:
-        if seconds > 0:
-            with self._changed:
-                self._changed.wait_for(lambda: self._draining, timeout=seconds)
+        """Ask nothing for a while; the last time, do not wait."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._draining, timeout=seconds)
+            self._pausing = False
+            self._changed.notify_all()
+
+
+def _decoded(reply: bytes | None) -> Ack | None:
+    """Read an answer; bytes that are none count as silence."""
+    with contextlib.suppress(MalformedMessageError):
+        return None if reply is None else decode(reply, Ack)
+    return None

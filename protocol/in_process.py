@@ -42,6 +42,13 @@ class InProcessBus:
         each = self._exchange.answers_each.get(f"{where}/*")
         return None if each is None else each[1](name, payload)
 
+    def begin_asking(
+        self, key: str, payload: bytes, timeout_s: float
+    ) -> Callable[[], bytes | None]:
+        """Call the handler of ``key``, and keep its answer."""
+        answer = self.ask(key, payload, timeout_s)
+        return lambda: answer
+
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key``."""
         with self._exchange.lock:

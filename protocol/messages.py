@@ -35,6 +35,7 @@ MAX_SUGGESTED = 1e6
 # An episode of a batch of whole ones is cut after this many steps, if nothing else ever ends it.
 ENDLESS_STEPS = 10_000
 MAX_ENVS = 4096  # of an actor
+MAX_WINDOW = 1000
 _MAX_SLOT = 999_999
 _MAX_WAIT_S = 1e6
 _HEX = 64  # digits of a checksum
@@ -57,6 +58,7 @@ class Hello:
     spaces: Spaces | None
     cause: str = ""  # why the process before it had to be replaced; empty: there was none
     slot: int = -1  # the slot that it wants, so that runs repeat whoever joins first; -1: any
+    next_seq: int = -1  # of its oldest unanswered segment, the first of an order; -1: no order
 
     def __post_init__(self) -> None:
         """Check the name, and that a joining actor says everything."""
@@ -67,6 +69,7 @@ class Hello:
         low, high = (1, MAX_ENVS) if joins else (0, 0)
         require(low <= self.num_envs <= high, "hello: num_envs", self.num_envs, f"{low}..{high}")
         _require_slot("hello", self.slot)
+        require(self.next_seq >= -1, "hello: next_seq", self.next_seq, "-1 or more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,6 +85,7 @@ class Welcome:
     slot: int  # unique among the actors present; -1 while it only asks
     seed: int  # of environments and noise; while it only asks, of what is random before it joins
     env: EnvConfig | None = None  # None: made with its id alone
+    window: int = 1  # segments that may be unanswered at a time, by an actor that says its next_seq
 
     def __post_init__(self) -> None:
         """Check the numbers and the name."""
@@ -89,6 +93,7 @@ class Welcome:
         found = self.num_envs
         require(1 <= found <= MAX_ENVS, "welcome: num_envs", found, f"1..{MAX_ENVS}")
         require_counts("welcome", self, "generation", "seed")
+        require(1 <= self.window <= MAX_WINDOW, "welcome: window", self.window, f"1..{MAX_WINDOW}")
         _require_slot("welcome", self.slot)
 
 

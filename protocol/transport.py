@@ -30,6 +30,15 @@ class Bus(Protocol):
         """
         ...
 
+    def begin_asking(
+        self, key: str, payload: bytes, timeout_s: float
+    ) -> Callable[[], bytes | None]:
+        """Ask, and wait for the answer later: by what is returned, which gives what `ask` gives.
+
+        Questions to one key are read in their order, unless the connection breaks.
+        """
+        ...
+
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key`` from now on; ``None`` is no answer."""
         ...

@@ -125,14 +125,18 @@ class ZenohBus:
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Query ``key``; an error reply, a timeout and silence are all ``None``."""
+        return self.begin_asking(key, payload, timeout_s)()
+
+    def begin_asking(
+        self, key: str, payload: bytes, timeout_s: float
+    ) -> Callable[[], bytes | None]:
+        """Query ``key``; the replies wait in a channel."""
         querier = self._queriers.get((key, timeout_s))
         if querier is None:
             querier = self._session.declare_querier(key, timeout=timeout_s)
             self._queriers[key, timeout_s] = querier
-        for reply in querier.get(payload=payload):
-            if reply.ok is not None:
-                return bytes(reply.ok.payload)
-        return None
+        replies = querier.get(payload=payload)
+        return lambda: next((bytes(each.ok.payload) for each in replies if each.ok), None)
 
     def answer(self, key: str, handler: Answer) -> None:
         """Declare a queryable on ``key``."""

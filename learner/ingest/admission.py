@@ -10,6 +10,8 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.generations import start_of
 from a2s.protocol.messages import ENDLESS_STEPS, Hello, Notice, Segment, Welcome
 
+_WINDOW = 16
+
 
 @dataclass(frozen=True, slots=True)
 class Admission:
@@ -46,6 +48,7 @@ class Admission:
             slot=slot,
             seed=seed,
             env=run.env_config(),
+            window=_WINDOW,
         )
 
     def difference(self, hello: Hello) -> str:

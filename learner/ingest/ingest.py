@@ -102,19 +102,15 @@ class Ingest:
             RunDirectoryError: It cannot be stored.
         """
         with self._changed:
-            if self._ledger.has(segment.actor, segment.seq):
-                return self._ack("duplicate", "answered before", segment)
             member = self._members.find(segment.actor)
-            is_ours = segment.generation == self._admission.generation
             if member is not None:
                 member.heard_s = time.monotonic()
-            elif is_ours or not self._members.has_token(segment.actor):
-                self._metrics.refused.labels(message="segment", reason="unknown_actor").inc()
-                return self._ack("unknown", f"actor {segment.actor} has not joined", segment)
+            if known := self._not_judged(segment, member):
+                return self._ack(*known, segment)
             if self._ledger.leaps(segment.actor, segment.seq):
                 return self.refuse_segment("future", f"seq {segment.seq} is far from the others")
             verdict, cause, reason = self._judge(segment, member)
-            is_useless = verdict == "refused" or not is_ours
+            is_useless = verdict == "refused" or not self._is_ours(segment)
             self._useless += is_useless
             if not is_useless or self._useless <= _MAX_USELESS:
                 self._write_down(segment, verdict, member)
@@ -269,9 +265,30 @@ class Ingest:
             if self._event("restart", actor=hello.actor, slot=slot, reason=reason):
                 logger.warning("actor %s was replaced: %s", hello.actor, reason)
 
+    def _is_ours(self, segment: Segment) -> bool:
+        return segment.generation == self._admission.generation
+
+    def _not_judged(self, segment: Segment, member: Member | None) -> tuple[Verdict, str] | None:
+        """The answer to a segment that was answered before, or has no right to be, or not yet."""
+        actor, seq, cause, reason = segment.actor, segment.seq, "", ""
+        is_known = self._ledger.has(actor, seq)
+        if member is None:
+            if self._is_ours(segment) or not self._members.has_token(actor):
+                cause, reason = "unknown_actor", f"actor {actor} has not joined"
+        elif member.is_early(seq) and not is_known:
+            cause, reason = "early", f"seq {seq} has overtaken {member.next_seq}"
+        else:
+            member.answer(seq)
+        if is_known:
+            return "duplicate", "answered before"
+        if not cause:
+            return None
+        self._metrics.refused.labels(message="segment", reason=cause).inc()
+        return "unknown", reason
+
     def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
         admission, played = self._admission, self._round
-        if segment.generation != admission.generation or member is None:
+        if not self._is_ours(segment) or member is None:
             return "stale", "", admission.other_generation(segment)
         if misfit := admission.misfit(segment, member.num_envs):
             return "refused", "spaces", misfit
@@ -322,7 +339,7 @@ class Ingest:
         generation, played = self._admission.generation, self._round
         wait_s = 0.0
         # Remains of an earlier generation must go before its actor can join this one.
-        is_ours = segment is not None and segment.generation == generation
+        is_ours = segment is not None and self._is_ours(segment)
         if is_ours and not self._clock.waits_for_weights:
             wait_s = self._store.hold_s(played.num_batches if played else 0.0)
         return Ack(

@@ -44,6 +44,7 @@ class Member:
         delivered_s: When it joined or delivered last, on the same clock.
         moved_s: When it reported more steps last, on the same clock.
         said: The latest trouble that was passed on, and the steps that it had dropped by then.
+        next_seq: Number of its next segment, if it sends several at a time.
     """
 
     actor: str
@@ -55,6 +56,7 @@ class Member:
     delivered_s: float = 0.0
     moved_s: float = 0.0
     said: tuple[str, int] = ("", 0)
+    next_seq: int | None = None
     _delivered: list[_Delivered] = field(default_factory=list)
     _steps_then: int = 0  # that it had reported when it delivered last
 
@@ -82,6 +84,15 @@ class Member:
         if self.status is None or status.env_steps > self.status.env_steps:
             self.moved_s = now_s
         self.status, self.heard_s = status, now_s
+
+    def is_early(self, seq: int) -> bool:
+        """Whether a segment has overtaken another."""
+        return self.next_seq is not None and seq > self.next_seq
+
+    def answer(self, seq: int) -> None:
+        """A segment of it is answered."""
+        if self.next_seq is not None:
+            self.next_seq = max(self.next_seq, seq + 1)
 
     def has_sent(self, now_s: float) -> None:
         """It has delivered something."""
@@ -197,6 +208,7 @@ class Members:
             self._present[actor] = member
             self._newcomers.pop(actor, None)
             self._joins[slot] = self._joins.get(slot, 0) + 1
+        member.next_seq = hello.next_seq if hello.next_seq >= 0 else None
         key = (self._seed, self._start, member.slot, self._joins[member.slot])
         return member, int(np.random.SeedSequence(key).generate_state(1)[0])
 

@@ -1,16 +1,18 @@
-"""The outbox: in order, until answered, never more than fits."""
+"""The outbox: in order, until answered, never more than fits, several at a time over a network."""
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import numpy as np
 
 from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.outbox import Outbox
+from a2s.commands.process import free_endpoint
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.messages import Ack, Segment, Verdict
+from a2s.protocol.zenoh_bus import ZenohBus
 
 WaitFor = Callable[..., None]
 
@@ -140,3 +142,66 @@ def test_closing_waits_for_no_learner_that_is_gone_and_counts_what_was_never_ans
         outbox.put(_segment(seq), 1.0)
     assert outbox.close(1e6) == 3
     assert total(metrics.dropped) == total(metrics.dropped.labels("shutdown")) == 12
+
+
+class _Far:
+    """An outbox, and a learner behind a network that answers when the gate is open.
+
+    Segments whose number is in ``lost`` are heard of once too often: the first time, not at all. As
+    a learner does, it takes them in order.
+    """
+
+    def __init__(self, stack: ExitStack, window: int, lost: set[int]) -> None:
+        self.gate, self.heard, self.taken = threading.Event(), list[int](), list[int]()
+        self.most_unanswered, self._lost = 0, lost
+        self.metrics = ActorMetrics()
+        endpoint = free_endpoint()
+        learner = stack.enter_context(closing(ZenohBus.listen(endpoint)))
+        learner.answer_in_turn("k", self._answer, bytes, 100)
+        actor = stack.enter_context(closing(ZenohBus.connect(endpoint, lambda: False)))
+        self.outbox = Outbox(actor, "k", 1000, lambda _: None, lambda: None, self.metrics)
+        self.outbox.window = window
+        stack.callback(self.outbox.close, 0.0)
+        stack.callback(self.gate.set)
+
+    def _answer(self, payload: bytes) -> bytes | None:
+        self.gate.wait(20.0)
+        seq = decode(payload, Segment).seq
+        self.heard.append(seq)
+        if seq in self._lost:
+            self._lost.discard(seq)
+            return None
+        if seq > len(self.taken):
+            return _ack("unknown")
+        unanswered = total(self.metrics.messages_sent) - len(self.taken)
+        self.most_unanswered = max(self.most_unanswered, int(unanswered))
+        if seq < len(self.taken):
+            return _ack("duplicate")
+        self.taken.append(seq)
+        return _ack()
+
+
+def test_as_many_as_the_window_are_under_way(wait_for: WaitFor) -> None:
+    with ExitStack() as stack:
+        far = _Far(stack, 4, set())
+        assert all(far.outbox.put(_segment(seq), 1.0) for seq in range(20))
+        wait_for(lambda: total(far.metrics.messages_sent) == 4, "a full window")
+        far.gate.set()
+        wait_for(lambda: far.outbox.answered == 20, "20 answers")
+        assert far.heard == list(range(20))
+        assert far.most_unanswered == 4
+
+
+def test_when_one_is_lost_it_is_sent_alone_then_all_after_it_in_order(wait_for: WaitFor) -> None:
+    with ExitStack() as stack:
+        far = _Far(stack, 4, {2})
+        assert all(far.outbox.put(_segment(seq), 1.0) for seq in range(10))
+        wait_for(lambda: total(far.metrics.messages_sent) == 4, "a full window")
+        far.gate.set()
+        wait_for(lambda: far.outbox.answered == 10, "10 answers")
+        assert far.taken == list(range(10))
+        again = far.heard.index(2, far.heard.index(2) + 1)
+        assert set(far.heard[3:again]) <= {3, 4, 5}  # under way when it was lost
+        assert far.heard[again:] == list(range(2, 10))
+        assert total(far.metrics.retries) == 1
+        assert far.outbox.steps == 0

@@ -87,23 +87,24 @@ STATUS_FIELDS = (
 )
 GOLDEN: list[tuple[Message, bytes]] = [
     (
-        Hello(actor="h-1", num_envs=2, env_id="E", spaces=SPACES, cause="c", slot=1),
-        b"\x88\xa3a2s\x02\xa4kind\xa5Hello\xa5actor\xa3h-1\xa8num_envs\x02\xa6env_id\xa1E"
-        b"\xa6spaces" + SPACES_BYTES + b"\xa5cause\xa1c\xa4slot\x01",
+        Hello(actor="h-1", num_envs=2, env_id="E", spaces=SPACES, cause="c", slot=1, next_seq=7),
+        b"\x89\xa3a2s\x02\xa4kind\xa5Hello\xa5actor\xa3h-1\xa8num_envs\x02\xa6env_id\xa1E"
+        b"\xa6spaces" + SPACES_BYTES + b"\xa5cause\xa1c\xa4slot\x01\xa8next_seq\x07",
     ),
     (
         Hello(actor="h-1", num_envs=0, env_id="", spaces=None),
-        b"\x88\xa3a2s\x02\xa4kind\xa5Hello"
-        b"\xa5actor\xa3h-1\xa8num_envs\x00\xa6env_id\xa0\xa6spaces\xc0\xa5cause\xa0\xa4slot\xff",
+        b"\x89\xa3a2s\x02\xa4kind\xa5Hello"
+        b"\xa5actor\xa3h-1\xa8num_envs\x00\xa6env_id\xa0\xa6spaces\xc0\xa5cause\xa0\xa4slot\xff"
+        b"\xa8next_seq\xff",
     ),
     (
         Welcome(
             run="r", generation=1, env_id="E", spaces=SPACES, num_envs=8, clock="lockstep",
-            slot=-1, seed=65536, env=ENV,
+            slot=-1, seed=65536, env=ENV, window=16,
         ),
-        b"\x8b\xa3a2s\x02\xa4kind\xa7Welcome\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\x8c\xa3a2s\x02\xa4kind\xa7Welcome\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
         b"\xa6spaces" + SPACES_BYTES + b"\xa8num_envs\x08\xa5clock\xa8lockstep\xa4slot\xff"
-        b"\xa4seed\xce\x00\x01\x00\x00\xa3env" + ENV_BYTES,
+        b"\xa4seed\xce\x00\x01\x00\x00\xa3env" + ENV_BYTES + b"\xa6window\x10",
     ),
     (
         Refusal(reason="no", retry_s=0.5),
@@ -220,8 +221,8 @@ DEFAULTS: dict[type, dict[str, object]] = {
         "kwargs": "{}", "wrappers": (), "action_repeat": 1, "frame_stack": 1,
         "max_episode_steps": 0, "timeout_s": 120.0, "info_metrics": (),
     },
-    Hello: {"cause": "", "slot": -1},
-    Welcome: {"env": None},
+    Hello: {"cause": "", "slot": -1, "next_seq": -1},
+    Welcome: {"env": None, "window": 1},
     Refusal: {"retry_s": 0.0},
     Segment: {"metrics": ()},
     ActorStatus: {

@@ -72,6 +72,7 @@ IMPOSSIBLE: list[tuple[Any, dict[str, Any], str]] = [
     *((HELLO, change, "hello: env_id: found '") for change in ({"env_id": ""}, {"spaces": None})),
     *((HELLO, {"num_envs": num_envs}, f"hello: num_envs: found {num_envs}, expected 1..4096")
       for num_envs in (0, -1, 4097)),
+    (HELLO, {"next_seq": -2}, "hello: next_seq: found -2, expected -1 or more"),
     (HELLO, {"spaces": None, "env_id": ""}, "hello: num_envs: found 2, expected 0..0"),
     *((HELLO, {"slot": slot}, f"hello: slot: found {slot}, expected -1..999999")
       for slot in (-2, 1_000_000)),

@@ -117,9 +117,10 @@ environments = build(
     info_metrics=st.lists(labels, max_size=3).map(tuple),
 )  # fmt: skip
 asking = build(Hello, actor=names, num_envs=st.just(0), env_id=st.just(""), spaces=st.none(),
-               slot=st.just(-1))  # fmt: skip
+               slot=st.just(-1), next_seq=st.just(-1))  # fmt: skip
 joining = build(Hello, actor=names, num_envs=st.integers(1, 4096), env_id=texts.filter(bool),
-                spaces=spaces(), slot=st.integers(-1, 999_999))  # fmt: skip
+                spaces=spaces(), slot=st.integers(-1, 999_999),
+                next_seq=st.integers(-1, 2**63 - 1))  # fmt: skip
 notices = build(Notice, quota_steps=counts.filter(bool))
 slots = st.integers(-1, 999_999)
 seconds = st.floats(0, allow_infinity=False)
@@ -136,7 +137,7 @@ ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
     Hello: asking | joining,
     Welcome: build(
         Welcome, run=names, spaces=spaces(), env=st.none() | environments, slot=slots,
-        num_envs=st.integers(1, 4096),
+        num_envs=st.integers(1, 4096), window=st.integers(1, 1000),
     ),
     Refusal: build(Refusal, retry_s=st.floats(0, 1e6)),
     Segment: segments(),

@@ -1,7 +1,7 @@
 """Ingest: what is accepted, stale and refused, and when a batch is complete."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -9,99 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ingest_runs import QUOTA, SPACES, IngestRun
 from segments import segment
 
-from a2s.learner.feed import Arrival
 from a2s.learner.ingest import ingest
-from a2s.learner.ingest.admission import Admission
-from a2s.learner.ingest.ingest import Ingest
-from a2s.learner.ingest.journal import Journal, Stored
-from a2s.learner.ingest.ledger import Ledger
-from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Quota
-from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.fields import Spaces
 from a2s.protocol.generations import numbered
 from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 
-SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
-QUOTA = Quota(8, 4, 0)
 MakeNotice = Callable[..., Notice]
 NoRoom = Callable[[], AbstractContextManager[None]]
 
 
-class _Run:
-    """An ingest with its files, a record of its events, and a store in memory."""
-
-    max_policy_lag: int | None = None
-    max_suggestion = 1.0
-
-    def __init__(
-        self,
-        path: Path,
-        *,
-        max_policy_lag: int | None = 1,
-        left: Sequence[Stored] = (),
-        generation: int = 2,
-        episode_limit: int = 0,
-        **options: Any,
-    ) -> None:
-        self.events: list[tuple[str, dict[str, object]]] = []
-        self.metrics = LearnerMetrics()
-        self.ledger = Ledger(path / "segments.log")
-        self.journal = Journal(path / "journal", self.ledger.accepted_steps)
-        run = RunConfig(**{"run": "test", "env": "Test-v0", "envs": 2, "n": 1, **options})
-        self.ingest = Ingest(
-            Admission(run, SPACES, generation, max_policy_lag, 1.001, episode_limit),
-            self.ledger,
-            self.metrics,
-            lambda kind, **details: self.events.append((kind, details)),
-            self,
-            self.journal,
-            LeftOver(list(left)),
-        )
-        self.kept: list[Segment] = []
-        self.num_closed = 0
-        self.disk_is_full = False
-        self.is_far_behind = False
-
-    def quota(self, num_envs: int) -> Quota:
-        raise NotImplementedError
-
-    def store(self, slot: int, segment: Segment) -> None:
-        """Store a segment, unless the disk is full."""
-        if self.disk_is_full:
-            raise RunDirectoryError("replay: no space left on device")
-        self.kept.append(segment)
-
-    def close_batch(self) -> None:
-        """What was stored so far is a batch."""
-        self.num_closed = len(self.kept)
-
-    def hold_s(self, num_batches: float) -> float:
-        """Learning is behind by a batch, or for another reason."""
-        return 1.5 if self.is_far_behind or num_batches >= 1 else 0.0
-
-    def join(self, actor: str, num_envs: int = 1, slot: int = -1) -> Welcome:
-        self.ingest.here(actor)
-        hello = Hello(actor=actor, num_envs=num_envs, env_id="Test-v0", spaces=SPACES, slot=slot)
-        welcome = self.ingest.hello(hello)
-        assert isinstance(welcome, Welcome)
-        return welcome
-
-    def complete(self) -> bool:
-        """Whether a batch is there."""
-        return bool(self.batch())
-
-    def batch(self) -> list[Arrival]:
-        return self.ingest.next_batch(lambda _: False)
-
-
 @pytest.fixture
-def run(tmp_path: Path, make_notice: MakeNotice) -> _Run:
-    run = _Run(tmp_path)
+def run(tmp_path: Path, make_notice: MakeNotice) -> IngestRun:
+    run = IngestRun(tmp_path)
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     return run
 
@@ -135,7 +58,7 @@ def _segment(actor: str = "a", seq: int = 0, steps: int = 4, **fields: Any) -> S
     ],
 )
 def test_every_segment_is_judged_with_a_reason(
-    run: _Run, fields: dict[str, Any], verdict: str, reason: str
+    run: IngestRun, fields: dict[str, Any], verdict: str, reason: str
 ) -> None:
     run.join("a")
     ack = run.ingest.segment(_segment(**fields))
@@ -151,7 +74,7 @@ def test_another_learner_with_the_same_name_and_number_of_starts_gets_nothing(
     for mark in (7, 8):
         path = tmp_path / str(mark)
         path.mkdir()
-        runs.append(_Run(path, generation=numbered(1, mark)))
+        runs.append(IngestRun(path, generation=numbered(1, mark)))
         notice = make_notice(generation=numbered(1, mark), version=5, quota_steps=4)
         runs[-1].ingest.begin(notice, QUOTA, 1)
     first, other = (run.join("a") for run in runs)
@@ -163,7 +86,7 @@ def test_another_learner_with_the_same_name_and_number_of_starts_gets_nothing(
 
 
 def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_not_matter(
-    run: _Run,
+    run: IngestRun,
 ) -> None:
     first = {actor: run.join(actor, slot=slot) for actor, slot in (("b", 1), ("a", 0), ("c", 2))}
     assert {actor: welcome.slot for actor, welcome in first.items()} == {"a": 0, "b": 1, "c": 2}
@@ -174,7 +97,7 @@ def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_n
     assert run.join("h", slot=4096).slot == 5  # a place costs memory, here and in Prometheus
 
 
-def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:
+def test_a_segment_is_counted_once_however_often_it_is_sent(run: IngestRun) -> None:
     run.join("a")
     verdicts = [run.ingest.segment(_segment()).verdict for _ in range(3)]
     assert verdicts == ["accepted", "duplicate", "duplicate"]
@@ -182,7 +105,31 @@ def test_a_segment_is_counted_once_however_often_it_is_sent(run: _Run) -> None:
     assert len(run.batch()) == 1
 
 
-def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(run: _Run) -> None:
+def test_of_an_actor_that_sends_several_at_a_time_none_overtakes_another(run: IngestRun) -> None:
+    """What did so is not looked at, until a hello says that it is next."""
+    welcome = run.join("a", next_seq=0)
+    assert welcome.window == 16
+    verdicts = [run.ingest.segment(_segment(seq=seq)).verdict for seq in (0, 2, 3, 1, 0, 2)]
+    assert verdicts == ["accepted", "unknown", "unknown", "accepted", "duplicate", "accepted"]
+    early = run.ingest.segment(_segment(seq=5))
+    assert (early.verdict, early.reason) == ("unknown", "seq 5 has overtaken 3")
+    assert [stored.seq for stored in run.kept] == [0, 1, 2]
+    assert run.ledger.accounts().lost == 0
+    run.join("a", next_seq=5)
+    assert run.ingest.segment(_segment(seq=5)).verdict == "accepted"
+    run.join("a")  # one at a time: as it likes
+    assert run.ingest.segment(_segment(seq=8)).verdict == "accepted"
+
+
+def test_whatever_is_the_answer_the_next_one_is_next(run: IngestRun) -> None:
+    run.join("a", next_seq=7)
+    sent = [_segment(seq=7, generation=1), _segment(seq=8, weights_version=6), _segment(seq=9)]
+    assert [run.ingest.segment(each).verdict for each in sent] == ["stale", "refused", "accepted"]
+
+
+def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
+    run: IngestRun,
+) -> None:
     """An actor that got no answer keeps its segment."""
     run.join("a")
     for sent in (_segment(), _segment(), _segment(seq=1, epoch=1)):
@@ -196,7 +143,7 @@ def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
         run.ingest.next_batch(lambda _: True)
 
 
-def test_what_cannot_be_written_down_is_not_stored_again(run: _Run, no_room: NoRoom) -> None:
+def test_what_cannot_be_written_down_is_not_stored_again(run: IngestRun, no_room: NoRoom) -> None:
     """However often it is sent; and nothing else is, once one has failed."""
     run.join("a")
     for seq in range(6):
@@ -213,7 +160,7 @@ def test_what_cannot_be_written_down_is_not_stored_again(run: _Run, no_room: NoR
 def test_off_policy_no_segment_is_too_old_and_actors_are_held_back_while_learning_is_behind(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
-    run = _Run(tmp_path, max_policy_lag=None, clock="async")
+    run = IngestRun(tmp_path, max_policy_lag=None, clock="async")
     run.ingest.begin(make_notice(generation=2, version=500, quota_steps=4), QUOTA, 2)
     run.join("a")
     first = run.ingest.segment(_segment(seq=0, weights_version=1))
@@ -225,7 +172,7 @@ def test_off_policy_no_segment_is_too_old_and_actors_are_held_back_while_learnin
 
 
 def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota(
-    run: _Run,
+    run: IngestRun,
 ) -> None:
     """Its order is not that of arrival."""
     run.join("a", num_envs=2)
@@ -241,7 +188,7 @@ def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota
 
 
 def test_whole_episodes_are_waited_for(tmp_path: Path, make_notice: MakeNotice) -> None:
-    run = _Run(tmp_path)
+    run = IngestRun(tmp_path)
     notice = make_notice(generation=2, version=5, quota_steps=4, quota_episodes=2)
     run.ingest.begin(notice, QUOTA, 2)
     run.join("a")
@@ -256,7 +203,7 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     """Five episodes of 8 where a batch has 8 steps: an async learner would take four."""
-    run = _Run(tmp_path)
+    run = IngestRun(tmp_path)
     run.ingest.begin(
         make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), Quota(8, 8, 5), 2
     )
@@ -266,7 +213,9 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
     assert len(run.batch()) == 5
 
 
-def test_a_segment_is_no_longer_than_the_largest_quota(run: _Run, make_notice: MakeNotice) -> None:
+def test_a_segment_is_no_longer_than_the_largest_quota(
+    run: IngestRun, make_notice: MakeNotice
+) -> None:
     """An actor may still be playing an earlier one."""
     run.join("a")
     found = [run.ingest.segment(_segment(seq=steps, steps=steps)) for steps in (4, 5)]
@@ -281,7 +230,7 @@ def test_a_segment_is_no_longer_than_the_largest_quota(run: _Run, make_notice: M
 def test_where_whole_episodes_are_played_a_segment_is_no_longer_than_one(
     tmp_path: Path, make_notice: MakeNotice, limit: int, longest: int
 ) -> None:
-    run = _Run(tmp_path, episode_limit=limit)
+    run = IngestRun(tmp_path, episode_limit=limit)
     whole = make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5)
     run.ingest.begin(whole, Quota(8, 8, 5), 2)
     run.join("a")
@@ -289,7 +238,7 @@ def test_where_whole_episodes_are_played_a_segment_is_no_longer_than_one(
     assert [run.ingest.segment(each).verdict for each in sent] == ["accepted", "refused"]
 
 
-def test_an_actor_that_leaves_is_no_longer_waited_for(run: _Run) -> None:
+def test_an_actor_that_leaves_is_no_longer_waited_for(run: IngestRun) -> None:
     run.join("a")
     run.join("b")
     run.ingest.segment(_segment("a"))
@@ -299,7 +248,7 @@ def test_an_actor_that_leaves_is_no_longer_waited_for(run: _Run) -> None:
     assert ("leave", {"actor": "b", "slot": 1, "reason": "lost"}) in run.events
 
 
-def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None:
+def test_a_replacement_takes_the_free_place_with_another_seed(run: IngestRun) -> None:
     first, other = run.join("a"), run.join("b")
     run.ingest.gone("a")
     second = run.join("c")
@@ -307,7 +256,7 @@ def test_a_replacement_takes_the_free_place_with_another_seed(run: _Run) -> None
     assert first.seed != second.seed
 
 
-def test_who_cannot_be_seen_does_not_join(run: _Run) -> None:
+def test_who_cannot_be_seen_does_not_join(run: IngestRun) -> None:
     """Nobody would see it leave; it is not answered, so it asks again until its token is there."""
     hello = Hello(actor="a", num_envs=1, env_id="Test-v0", spaces=SPACES)
     assert run.ingest.hello(hello) is None
@@ -326,7 +275,7 @@ def test_who_cannot_be_seen_does_not_join(run: _Run) -> None:
     assert run.ingest.attendance().members == ()
 
 
-def test_members_that_are_silent_have_no_share_of_the_quota(run: _Run) -> None:
+def test_members_that_are_silent_have_no_share_of_the_quota(run: IngestRun) -> None:
     """Unless all are: then it was the learner that heard nothing."""
     run.join("a")
     for silent in "bcd":
@@ -342,7 +291,7 @@ def test_members_that_are_silent_have_no_share_of_the_quota(run: _Run) -> None:
     assert run.ingest.num_envs == 100
 
 
-def test_who_has_left_is_expected_back_with_as_many_environments(run: _Run) -> None:
+def test_who_has_left_is_expected_back_with_as_many_environments(run: IngestRun) -> None:
     """Weights that come out meanwhile are for them: one environment alone would play a batch."""
     run.join("a", num_envs=3)
     run.join("b", num_envs=4)
@@ -353,7 +302,7 @@ def test_who_has_left_is_expected_back_with_as_many_environments(run: _Run) -> N
     assert run.ingest.num_envs == 3
 
 
-def test_a_run_has_at_most_so_many_environments(run: _Run) -> None:
+def test_a_run_has_at_most_so_many_environments(run: IngestRun) -> None:
     for number in range(16):
         run.join(f"a{number}", num_envs=4096)
     run.ingest.here("b")
@@ -367,7 +316,7 @@ def test_a_run_has_at_most_so_many_environments(run: _Run) -> None:
 
 
 def test_a_member_of_whom_nothing_comes_is_one_no_more_until_it_sends(
-    run: _Run, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    run: IngestRun, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The batch is made without it, and it is named."""
     run.join("a")
@@ -386,7 +335,7 @@ def test_a_member_of_whom_nothing_comes_is_one_no_more_until_it_sends(
     assert run.ingest.segment(late).verdict == "accepted"
 
 
-def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
+def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: IngestRun) -> None:
     """Its segment is not answered while it is away, so it is sent again and not lost."""
     run.join("a", num_envs=2)
     run.ingest.segment(_segment("a", 0, env=0))
@@ -398,7 +347,7 @@ def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: _Run) -> None:
     assert len(run.batch()) == 2
 
 
-def test_a_number_out_of_all_order_is_refused_at_once(run: _Run) -> None:
+def test_a_number_out_of_all_order_is_refused_at_once(run: IngestRun) -> None:
     run.join("a")
     run.ingest.segment(_segment(seq=0))
     ack = run.ingest.segment(_segment(seq=2**62))
@@ -407,7 +356,7 @@ def test_a_number_out_of_all_order_is_refused_at_once(run: _Run) -> None:
 
 
 def test_refused_segments_fill_no_disk(
-    run: _Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: IngestRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They are answered all the same, and what can be used is still written down."""
     monkeypatch.setattr(ingest, "_MAX_USELESS", 5)
@@ -421,7 +370,9 @@ def test_refused_segments_fill_no_disk(
     assert sum(kind == "refusal" for kind, _ in run.events) == 10
 
 
-def test_what_is_left_of_an_earlier_learner_is_counted_once_its_sender_is_seen(run: _Run) -> None:
+def test_what_is_left_of_an_earlier_learner_is_counted_once_its_sender_is_seen(
+    run: IngestRun,
+) -> None:
     """A name that nobody has would cost memory and disk."""
     late = _segment("a", generation=1)
     assert run.ingest.segment(late).verdict == "unknown"
@@ -429,20 +380,20 @@ def test_what_is_left_of_an_earlier_learner_is_counted_once_its_sender_is_seen(r
     assert run.ingest.segment(late).verdict == "stale"
 
 
-def test_joining_twice_keeps_the_place_and_the_seed(run: _Run) -> None:
+def test_joining_twice_keeps_the_place_and_the_seed(run: IngestRun) -> None:
     first, again = run.join("a"), run.join("a")
     assert (first.slot, first.seed) == (again.slot, again.seed)
     assert [kind for kind, _ in run.events] == ["join"]
 
 
-def test_asking_is_not_joining(run: _Run) -> None:
+def test_asking_is_not_joining(run: IngestRun) -> None:
     welcome = run.ingest.hello(Hello(actor="a", num_envs=0, env_id="", spaces=None))
     assert isinstance(welcome, Welcome)
     assert (welcome.slot, welcome.env_id, welcome.num_envs) == (-1, "Test-v0", 2)
     assert run.ingest.attendance().members == ()
 
 
-def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
+def test_other_spaces_are_refused_with_the_difference(run: IngestRun) -> None:
     wide = replace(SPACES, obs_size=3)
     refusal = run.ingest.hello(Hello(actor="a", num_envs=1, env_id="Test-v0", spaces=wide))
     assert isinstance(refusal, Refusal)
@@ -451,7 +402,7 @@ def test_other_spaces_are_refused_with_the_difference(run: _Run) -> None:
     assert counted._value.get() == 1
 
 
-def test_a_reason_is_short_whatever_was_sent(run: _Run) -> None:
+def test_a_reason_is_short_whatever_was_sent(run: IngestRun) -> None:
     hello = Hello(actor="a", num_envs=1, env_id="x\n" * 400_000, spaces=SPACES)
     refusal = run.ingest.hello(hello)
     assert isinstance(refusal, Refusal)
@@ -459,7 +410,7 @@ def test_a_reason_is_short_whatever_was_sent(run: _Run) -> None:
     assert refusal.reason.isprintable()
 
 
-def test_a_recovery_forgets_what_waits(run: _Run, make_notice: MakeNotice) -> None:
+def test_a_recovery_forgets_what_waits(run: IngestRun, make_notice: MakeNotice) -> None:
     run.join("a")
     run.ingest.segment(_segment(seq=0))
     run.ingest.begin(
@@ -473,7 +424,7 @@ def test_async_batches_are_counted_in_steps_and_hold_actors_back(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     """Batches of 8: held back when one waits, taken no more when four do."""
-    run = _Run(tmp_path, clock="async")
+    run = IngestRun(tmp_path, clock="async")
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     run.join("a")
     acks = [run.ingest.segment(_segment(seq=seq)) for seq in range(10)]
@@ -482,7 +433,7 @@ def test_async_batches_are_counted_in_steps_and_hold_actors_back(
     assert len(run.batch()) == 8
 
 
-def test_a_clean_goodbye_is_told_from_a_lost_actor(run: _Run) -> None:
+def test_a_clean_goodbye_is_told_from_a_lost_actor(run: IngestRun) -> None:
     run.join("a")
     status = ActorStatus(
         actor="a", slot=0, weights_version=5, epoch=0, env_steps=1, episodes=0, segments_sent=1,
@@ -493,7 +444,7 @@ def test_a_clean_goodbye_is_told_from_a_lost_actor(run: _Run) -> None:
     assert [d["reason"] for kind, d in run.events if kind == "leave"] == ["clean"]
 
 
-def test_waiting_says_what_for(run: _Run) -> None:
+def test_waiting_says_what_for(run: IngestRun) -> None:
     heard: list[str] = []
 
     def once(missing: str) -> bool:
@@ -516,7 +467,7 @@ def test_the_first_batch_waits_for_all_actors_that_are_expected(
     tmp_path: Path, make_notice: MakeNotice
 ) -> None:
     """Later ones do not: two actors with two environments each are expected, one plays on."""
-    run = _Run(tmp_path, n=2)
+    run = IngestRun(tmp_path, n=2)
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     assert run.ingest.num_envs == 4
     run.join("a")
