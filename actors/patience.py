@@ -5,6 +5,7 @@ from collections.abc import Callable
 from time import monotonic
 
 from a2s.protocol.codec import decode
+from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.identity import not_heard
 from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import RunStatus
@@ -13,6 +14,7 @@ from a2s.protocol.transport import Bus
 logger = logging.getLogger(__name__)
 
 _SAID_EVERY_S = 10.0
+_ASK_TIMEOUT_S = 1.0
 
 
 class Patience:
@@ -31,7 +33,7 @@ class Patience:
         known_as: str = "",
         clock: Callable[[], float] = monotonic,
     ) -> None:
-        self._bus, self._run, self._speaks, self._clock = bus, keys.run, speaks, clock
+        self._bus, self._keys, self._speaks, self._clock = bus, keys, speaks, clock
         self._help = not_heard("is `a2s learner` running", known_as)
         self._since_s: float | None = None
         self._said_s = 0.0
@@ -53,8 +55,20 @@ class Patience:
             self._since_s = self._said_s = now_s
         elif now_s - self._said_s >= _SAID_EVERY_S:
             self._said_s = now_s
-            hint = other_runs(self._bus, self._run) or f"; {self._help}"
+            hint = self._asked() or other_runs(self._bus, self._keys.run) or f"; {self._help}"
             logger.warning("waiting for %s for %.0f s%s", what, now_s - self._since_s, hint)
+
+    def _asked(self) -> str:
+        """What the learner itself waits for, if it answers at all."""
+        answer = self._bus.ask(self._keys.status, b"", _ASK_TIMEOUT_S)
+        if answer is None:
+            return ""
+        try:
+            told = decode(answer, RunStatus)
+        except MalformedMessageError:  # it says nothing that would help
+            return ""
+        assert isinstance(told, RunStatus)
+        return f"; it answers, and waits for {told.waiting_for}" if told.waiting_for else ""
 
     def _hear(self, payload: bytes) -> None:
         """Take what the learner says of itself unasked: that the run has ended."""
@@ -65,5 +79,5 @@ class Patience:
             if self._speaks:
                 logger.warning(
                     "run %r has ended: %s; waiting for a learner that goes on with it, or for a "
-                    "new run", self._run, told.ended,
+                    "new run", self._keys.run, told.ended,
                 )  # fmt: skip

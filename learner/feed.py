@@ -59,8 +59,11 @@ class Attendance(NamedTuple):
 class Feed:
     """A feed without actors; `ingest.server.Server` is the one with them."""
 
-    def open(self, status: Callable[[], RunStatus]) -> None:
-        """Begin; requests for the status are answered with it."""
+    def tell(self, status: Callable[[], RunStatus]) -> None:
+        """Answer requests for the status from now on."""
+
+    def open(self) -> None:
+        """Have actors come in."""
 
     def next_version(self, version: int) -> int:
         """The version after this one."""

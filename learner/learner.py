@@ -114,6 +114,7 @@ class Learner:
                 if part is not None:
                     stack.enter_context(closing(part))
             self._start()
+            self._feed.tell(lambda: self._status.message(self._feed.attendance().members))
             self._learn_again(proceed)
             try:
                 if not only_again and (self._past is None or not stopped()):
@@ -131,10 +132,11 @@ class Learner:
         if self._past is None:
             return
         status, feed, updates = self._status, self._feed, self._trainer.updates
-        self._feed = self._past
+        self._feed, status.learns_again = self._past, True
         self._begin()
         while not status.is_finished and self._step(proceed):
             pass
+        status.learns_again = False
         made, steps = self._trainer.updates - updates, status.env_steps - status.steps_at_start
         if made:
             self._directory.event("again", updates=made, env_steps=steps)
@@ -263,7 +265,7 @@ class Learner:
 
     def _open(self) -> None:
         """Have actors come in, and play."""
-        self._feed.open(lambda: self._status.message(self._feed.attendance().members))
+        self._feed.open()
         self._begin()
 
     def _finish(self, proceed: Callable[[str], bool]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from a2s.protocol.transport import Bus
 class Server(Feed):
     """Connects actors with the ingest, and gives them weights.
 
-    The learner becomes visible on ``bus`` with :meth:`open`.
+    The learner can be asked for its status after :meth:`tell`; actors see it with :meth:`open`.
     """
 
     def __init__(
@@ -46,9 +46,14 @@ class Server(Feed):
         self._newest = b"", b""  # notice and weights
         self._status: Callable[[], RunStatus] | None = None
 
-    def open(self, status: Callable[[], RunStatus]) -> None:
-        """Declare everything; the presence comes last, when all else can be answered."""
-        bus, keys, self._status = self._bus, self._keys, status
+    def tell(self, status: Callable[[], RunStatus]) -> None:
+        """Answer requests for the status."""
+        self._status = status
+        self._bus.answer(self._keys.status, lambda _: encode(status()))
+
+    def open(self) -> None:
+        """Declare everything else; the presence comes last, when all can be answered."""
+        bus, keys = self._bus, self._keys
         bus.watch_presence(keys.live_actor(), self._on_presence)  # who joins has been seen
         bus.answer(keys.notice, lambda _: self._give_newest()[0])
         bus.answer(keys.weights, lambda _: self._give_newest()[1])
@@ -59,7 +64,6 @@ class Server(Feed):
         bus.answer_each(keys.segment_of(), lambda name, payload: self._on_segment(payload, name))
         bus.answer(keys.evaluation_task, self._on_evaluation_request)
         bus.answer(keys.evaluation_result, self._on_evaluation_result)
-        bus.answer(keys.status, lambda _: encode(status()))
         bus.subscribe_each(keys.actor_status(), self._on_actor_status)
         bus.declare_presence(keys.live_learner)
 

@@ -14,6 +14,7 @@ from a2s.learner.run.limits import Limits
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.messages import RunStatus
 
+_AGAIN = "what came since the checkpoint, from which it learns again"
 POSITION = ("update", "wall_s", "env_steps", "weights_version", "epoch")
 
 
@@ -44,6 +45,7 @@ class Status:
         latest_score: Of the newest evaluation while training; ``None`` before the first.
         best_score: Of the best one.
         waiting_for: What the loop waits for; empty while it learns.
+        learns_again: It learns from what came since the checkpoint before it was killed.
         learning_s: Seconds since this learner started in which it did not wait for a batch.
         limits: What the seconds of learner and actors go into.
         worked_s: Seconds that earlier starts took.
@@ -65,6 +67,7 @@ class Status:
     latest_score: Score | None = None
     best_score: Score | None = None
     waiting_for: str = ""
+    learns_again: bool = False
     learning_s: float = 0.0
     limits: Limits = field(default_factory=Limits)
     worked_s: float = 0.0
@@ -137,7 +140,7 @@ class Status:
             epoch=self.num_recoveries,
             return_mean=math.nan if mean is None else mean,
             env_steps_per_s=self.env_steps_per_s,
-            waiting_for=self.waiting_for,
+            waiting_for=_AGAIN if self.learns_again else self.waiting_for,
             actors=tuple(m.status for m in members if m.status is not None),
             learning_s=self.learning_s,
             limited_by=self.limits.shares.largest if self.limits.shares else "",

@@ -81,3 +81,19 @@ def test_a_peer_with_a_name_is_told_that_it_may_not_be_let_in(
         "waiting for an answer for 10 s; is `a2s learner` running, and is 'actor-x' one of the "
         "names that it lets in?"
     ]
+
+
+@pytest.mark.parametrize(
+    ("waiting_for", "hint"),
+    [
+        ("segments of version 5", "; it answers, and waits for segments of version 5"),
+        ("", "; is `a2s learner` running?"),
+    ],
+)
+def test_what_the_learner_itself_waits_for_is_said(
+    waiting_for: str, hint: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    bus = InProcessBus(Exchange())
+    bus.answer(KEYS.status, lambda _: encode(replace(GOES_ON, waiting_for=waiting_for)))
+    _wait(Patience(bus, KEYS, speaks=True, clock=count().__next__))
+    assert caplog.messages == [f"waiting for an answer for 10 s{hint}"]

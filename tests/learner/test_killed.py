@@ -46,8 +46,9 @@ def test_kill_and_resume_equal_no_kill(
 ) -> None:
     """Whatever the moment, however often, and whatever tells the learners from others."""
     path, (options, settings) = tmp_path / "run", WAYS[way]
-    found = Script(path, options, settings, kill_at=KILLS[kills], mark=7).run()
-    _require_equal(path, found, *undisturbed[way])
+    script = Script(path, options, settings, kill_at=KILLS[kills], mark=7)
+    _require_equal(path, script.run(), *undisturbed[way])
+    assert "what came since the checkpoint, from which it learns again" in script.told
 
 
 @pytest.mark.parametrize("way", ["lockstep", "off-policy"])

@@ -7,21 +7,23 @@ What a kill leaves is a copy of the files at that moment.
 import io
 import itertools
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from a2s.learner.ingest.members import Member
 from a2s.learner.make import make_learner
 from a2s.learner.run.config import assemble
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import PlainView
+from a2s.learner.run.status import Status
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import Ack, Hello, Notice, Segment, Welcome
+from a2s.protocol.messages import Ack, Hello, Notice, RunStatus, Segment, Welcome
 
 SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 ENVS, PIECES = 2, 2
@@ -120,11 +122,27 @@ class ScriptedActor:
         assert ack.verdict in ("accepted", "duplicate"), ack
 
 
+class _Asking(PlainView):
+    """Whenever something could be shown, asks over the bus what the learner waits for."""
+
+    def __init__(self, exchange: Exchange, told: set[str]) -> None:
+        super().__init__(io.StringIO())
+        self._bus, self._told = InProcessBus(exchange), told
+
+    def show(self, status: Status, members: Sequence[Member], kl: float | None) -> None:
+        answer = self._bus.ask(Keys("default").status, b"", 1.0)
+        assert answer is not None
+        told = decode(answer, RunStatus)
+        assert isinstance(told, RunStatus)
+        self._told.add(told.waiting_for)
+
+
 class Script:
     """A run of two scripted actors; ``settings`` are of the run and of the algorithm.
 
     ``kill_at`` are numbers of segments before which the learner is killed; then ``on_kill`` may
-    change what is left. The marks of its learners are ``mark`` and those after it.
+    change what is left. The marks of its learners are ``mark`` and those after it. ``told`` is all
+    that those said they wait for.
     """
 
     def __init__(
@@ -141,6 +159,7 @@ class Script:
         self._path, self._options, self._settings = path, options, settings
         self._kill_at, self._sent, self._left = kill_at, 0, path.with_name("left")
         self._on_kill, self._marks = on_kill, itertools.count(mark)
+        self.told: set[str] = set()
         self._actors = [ScriptedActor(slot, self._before_send) for slot in range(actors)]
 
     def run(self) -> dict[str, Any]:
@@ -175,7 +194,7 @@ class Script:
             bus=InProcessBus(exchange),
             path=self._path,
             metrics=LearnerMetrics(),
-            view=PlainView(io.StringIO()),
+            view=_Asking(exchange, self.told),
             resume=resume,
             mark=next(self._marks),
         )
