@@ -14,11 +14,12 @@ from a2s.actors.children import Report, ask_child
 from a2s.actors.environments.environment import Environment
 from a2s.actors.evaluation import Episodes, Played, make_environments, read_policy
 from a2s.actors.parent import Parent, answer
-from a2s.actors.suggester import Mode
+from a2s.actors.suggester import Mode, Suggester
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import UsageError
+from a2s.protocol.errors import FaultyEnvironmentError, UsageError
 
 Picture = npt.NDArray[np.uint8]
+_MODE = "rgb_array"
 _FRAMES_PER_S = 30  # where an environment does not say
 _SHADOW_PIXELS = 1024  # a side; MuJoCo's 4096 take most of the time without a graphics card
 _LETTERS_PER_LINE = 32.0
@@ -51,7 +52,7 @@ def record(
         UsageError: The environment draws no pictures, or the file cannot be written.
         FaultyEnvironmentError: The environment raised, hung or died.
     """
-    drawing = json.dumps({**json.loads(config.kwargs), "render_mode": "rgb_array"})
+    drawing = json.dumps({**json.loads(config.kwargs), "render_mode": _MODE})
     partial = output.with_name(f".{output.stem}.partial{output.suffix}")
     try:
         found = ask_child(
@@ -72,12 +73,22 @@ def _record(parent: Parent) -> None:
     task: dict[str, Any] = parent.task
     policy = read_policy(Path(task["policy"]), task["mode"])
     config = EnvConfig.from_json(task["env"])
-    (environment,) = make_environments(config, policy.metadata, 1, parent.activity)
-    _draw_quickly(environment)
-    played = Episodes(policy, [environment], task["episodes"], task["seed"])
+    try:
+        (environment,) = make_environments(config, policy.metadata, 1, parent.activity)
+        _draw_quickly(environment)
+        played = Episodes(policy, [environment], task["episodes"], task["seed"])
+        first = environment.picture()
+    except FaultyEnvironmentError as error:
+        modes = _modes(config, policy, parent)
+        if _MODE in modes:
+            raise
+        raise UsageError(
+            f"environment {config.env_id}: it draws no pictures: found render_modes {modes} in its "
+            f"metadata, expected {_MODE!r} among them, and a render() that gives one"
+        ) from error
     told = getattr(environment.unwrapped, "metadata", {}).get("render_fps", _FRAMES_PER_S)
     fps, frames = max(1.0, told / config.action_repeat), 0
-    with contextlib.closing(_Video(Path(task["output"]), environment.picture(), fps)) as video:
+    with contextlib.closing(_Video(Path(task["output"]), first, fps)) as video:
         for choice in played.rounds():
             picture = environment.picture()
             if task["overlay"]:
@@ -88,6 +99,16 @@ def _record(parent: Parent) -> None:
     returns = played.evaluation().returns
     parent.report({"result": {"frames": frames, "fps": fps, "returns": returns}})
     environment.close()
+
+
+def _modes(config: EnvConfig, policy: Suggester, parent: Parent) -> list[str]:
+    """The render modes of an environment that was made for none."""
+    kwargs = json.loads(config.kwargs)
+    del kwargs["render_mode"]
+    plain = replace(config, kwargs=json.dumps(kwargs))
+    (environment,) = make_environments(plain, policy.metadata, 1, parent.activity)
+    environment.close()
+    return list(getattr(environment.unwrapped, "metadata", {}).get("render_modes", []))
 
 
 def _words(now: Played, q_spread: float) -> str:

@@ -69,6 +69,8 @@ def _construct(config: EnvConfig, arguments: dict[str, Any]) -> Env:
     with warnings.catch_warnings():
         # Gymnasium announces newer versions of an id; the user chose this one.
         warnings.simplefilter("ignore", DeprecationWarning)
+        # If it cannot draw, whoever wants a video is told so in one line.
+        warnings.filterwarnings("ignore", ".*not in the possible render_modes")
         try:
             module = _module(place, f"environment {config.env_id!r}") if place else None
             if name in gymnasium.registry:

@@ -37,6 +37,11 @@ class Drawn(gymnasium.Env):
     def render(self):
         return np.full((64, 97, 3), 40 * self.count, np.uint8) if self.mode == "rgb_array" else None
 """
+BLIND = (
+    DRAWN.replace('["rgb_array"]', "[]")
+    .replace("def render(", "def paint(")
+    .replace("self.mode, self.steps = render_mode, steps", "self.steps = steps")
+)
 BLANK = DRAWN.replace('if self.mode == "rgb_array"', "if self.count == 9")
 
 
@@ -99,6 +104,8 @@ def test_what_is_known_of_the_step_stands_above_unless_it_is_not_wanted(policy: 
     [
         ({"output": Path("video.avi")}, UsageError, "expected a name that ends in .mp4"),
         ({"output": Path("/dev/null/video.mp4")}, UsageError, "--output: /dev/null: "),
+        ({"program": BLIND}, UsageError, r"it draws no pictures: found render_modes \[\]"),
+        ({"program": BLIND.replace("render_mode=None, ", "")}, UsageError, "it draws no pictures"),
         ({"program": BLANK}, FaultyEnvironmentError, r"a picture of shape \(\) and object, exp"),
         ({"weights": "worst"}, UsageError, "--weights: found 'worst'"),
     ],

@@ -264,6 +264,10 @@ Listen = Annotated[str | None, option(
     _PLACE, "--listen", metavar="ENDPOINT", show_default="tcp/127.0.0.1:7447",
     help="Endpoint on which the learner listens.",
 )]
+ListenAnywhere = Annotated[str | None, option(
+    _PLACE, "--listen", metavar="ENDPOINT", show_default="a free port of this machine",
+    help="Endpoint on which the learner listens, for more actors than those here.",
+)]
 Connect = Annotated[str, option(
     _PLACE, "--connect", metavar="ENDPOINT", help="Endpoint of the learner.",
 )]

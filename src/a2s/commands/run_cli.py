@@ -90,7 +90,7 @@ def train(
     config: options.Config = None,
     settings: options.Set = None,
     print_config: options.PrintConfig = False,
-    listen: options.Listen = None,
+    listen: options.ListenAnywhere = None,
     tls: options.Tls = None,
     password_file: options.PasswordFile = None,
     insecure: options.Insecure = False,
