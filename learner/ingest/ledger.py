@@ -5,10 +5,11 @@ restarted learner recognises the segments that an earlier one has taken.
 """
 
 import os
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import xxhash
 
@@ -18,6 +19,7 @@ from a2s.protocol.messages import Verdict
 
 _MAX_LEAP = 10_000  # of an actor
 _MAX_MISSING = 100_000  # of all
+_CHUNK_BYTES = 1 << 20
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
 
@@ -47,6 +49,9 @@ class _Sender:
     next_seq: int
     missing: set[int] = field(default_factory=set)
 
+    def saved(self) -> tuple[int, int, list[int]]:
+        return self.first, self.next_seq, sorted(self.missing)
+
     def has(self, seq: int) -> bool:
         return self.first <= seq < self.next_seq and seq not in self.missing
 
@@ -61,20 +66,20 @@ class _Sender:
 
 
 class Mark(NamedTuple):
-    """What a ledger was at a moment: its first ``size`` bytes, and their XXH3, 64 bits."""
+    """What a ledger was at a moment: its first ``size`` bytes, their XXH3, and what they say."""
 
     size: int
     digest: str
+    accepted_steps: int
+    verdicts: dict[Verdict, int]
+    senders: dict[str, tuple[int, int, list[int]]]  # first, next and missing numbers of each
 
 
 class Ledger:
     """The answers of one run, in memory and in a file; an existing file is read first.
 
-    ``known`` is what it was at a checkpoint; a file that is shorter has lost its end, which the
-    journal may know.
-
-    Attributes:
-        mark: What it is now.
+    ``known`` is what it was at a checkpoint, so that only later lines have to be read; a file that
+    is shorter has lost its end, which the journal may know.
 
     Raises:
         RunDirectoryError: The file is not a ledger, or its beginning is not what is ``known``.
@@ -85,16 +90,17 @@ class Ledger:
         self._verdicts = dict.fromkeys(_RECORDED, 0)
         self._duplicates = self._missing = 0
         self.accepted_steps = 0
-        self._digest = xxhash.xxh3_64()
-        self.mark, whole = Mark(0, self._digest.hexdigest()), 0
-        for line in _lines(path):
-            self._replay(path, line[:-1].decode(errors="replace"))
-            whole = self._add(line)
-            if known is not None and whole >= known.size > whole - len(line):
-                _require_equal(path, self.mark, known)
+        self._digest, self._size = xxhash.xxh3_64(), 0
+        self._path, self._lock = path, threading.Lock()
+        if path.exists():
+            with path.open("rb") as file:
+                if known is not None and known.size <= path.stat().st_size:
+                    self._trust(file, known)
+                for line in _lines(file):
+                    self._replay(path, line[:-1].decode(errors="replace"))
+                    self._add(line)
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
-        os.ftruncate(self._file, whole)  # a line torn by a kill was never answered
-        self._path = path
+        os.ftruncate(self._file, self._size)  # a line torn by a kill was never answered
 
     def has(self, actor: str, seq: int) -> bool:
         """Whether this segment was answered; counts a duplicate if so."""
@@ -125,10 +131,21 @@ class Ledger:
             RunDirectoryError: There is no room for it.
         """
         line = f"{actor} {seq} {verdict} {steps}\n".encode()
-        with writing(self._path):
-            write_at(self._file, line, self.mark.size)
-        self._add(line)
-        self._count(actor, seq, verdict, steps)
+        with self._lock, writing(self._path):
+            write_at(self._file, line, self._size)
+            self._add(line)
+            self._count(actor, seq, verdict, steps)
+
+    def mark(self) -> Mark:
+        """What it is now; may be called on another thread than that which records."""
+        with self._lock:
+            return Mark(
+                self._size,
+                self._digest.hexdigest(),
+                self.accepted_steps,
+                dict(self._verdicts),
+                {actor: sender.saved() for actor, sender in self._senders.items()},
+            )
 
     def accounts(self) -> Accounts:
         """Add up all answers."""
@@ -143,11 +160,23 @@ class Ledger:
         """Close the file."""
         os.close(self._file)
 
-    def _add(self, line: bytes) -> int:
-        """Take a line into the mark; gives the size of the file."""
-        self._digest.update(line)
-        self.mark = Mark(self.mark.size + len(line), self._digest.hexdigest())
-        return self.mark.size
+    def _trust(self, file: BinaryIO, known: Mark) -> None:
+        """Go on from what is known of the beginning, if that is what it was."""
+        while self._size < known.size:
+            self._add(file.read(min(_CHUNK_BYTES, known.size - self._size)))
+        if self._digest.hexdigest() != known.digest:
+            raise RunDirectoryError(
+                f"{self._path}: its first {known.size} bytes are not those that the checkpoint "
+                "knows; restore it from a copy, or begin another run with --init-from"
+            )
+        self.accepted_steps, self._verdicts = known.accepted_steps, dict(known.verdicts)
+        for actor, (first, next_seq, missing) in known.senders.items():
+            self._senders[actor] = _Sender(first, next_seq, set(missing))
+            self._missing += len(missing)
+
+    def _add(self, lines: bytes) -> None:
+        self._digest.update(lines)
+        self._size += len(lines)
 
     def _count(self, actor: str, seq: int, verdict: Verdict, steps: int) -> None:
         sender = self._senders.setdefault(actor, _Sender(seq, seq))
@@ -167,16 +196,6 @@ class Ledger:
             raise RunDirectoryError(f"{path}: found {line!r:.60}, expected a ledger line") from None
 
 
-def _require_equal(path: Path, found: Mark, known: Mark) -> None:
-    if found != known:
-        raise RunDirectoryError(
-            f"{path}: its first {known.size} bytes are not those that the checkpoint knows; "
-            "restore it from a copy, or begin another run with --init-from"
-        )
-
-
-def _lines(path: Path) -> Iterator[bytes]:
+def _lines(file: BinaryIO) -> Iterator[bytes]:
     """Yield every complete line, with its end."""
-    if path.exists():
-        with path.open("rb") as file:
-            yield from (line for line in file if line.endswith(b"\n"))
+    yield from (line for line in file if line.endswith(b"\n"))

@@ -25,7 +25,7 @@ State = dict[str, Any]
 logger = logging.getLogger(__name__)
 
 _MAX_KEPT = 3
-_FORMAT = 6
+_FORMAT = 7
 _TENSORS, _STATE, _SUMS = "tensors.safetensors", "state.json", "SHA256SUMS"
 
 
@@ -114,10 +114,17 @@ def read(path: Path, kind: str | None = None) -> tuple[dict[str, Tensor], State]
     """
     try:
         files = {name: (path / name).read_bytes() for name in (_TENSORS, _STATE)}
-        _require_format(path, files[_STATE])
-        if (path / _SUMS).read_bytes() != _sums(files):
+        has_sums = (path / _SUMS).exists()  # early versions wrote none
+        if has_sums and (path / _SUMS).read_bytes() != _sums(files):
             raise DamagedError("the checksums do not match")
         whole = json.loads(files[_STATE])
+        if whole["format"] != _FORMAT:
+            raise RunDirectoryError(
+                f"checkpoint {path}: found format {whole['format']}, expected {_FORMAT}; another "
+                "version of a2s made it: go on with that one, or begin another run"
+            )
+        if not has_sums:
+            raise DamagedError(f"{_SUMS} is not there")
         if kind not in (None, whole["kind"]):
             raise RunDirectoryError(
                 f"checkpoint {path}: found {whole['kind']}, expected {kind}; "
@@ -126,16 +133,6 @@ def read(path: Path, kind: str | None = None) -> tuple[dict[str, Tensor], State]
         return safetensors.torch.load(files[_TENSORS]), whole["state"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError) as error:
         raise DamagedError(str(error)) from None
-
-
-def _require_format(path: Path, state: bytes) -> None:
-    """Refuse one of another version; it need not have checksums."""
-    found = json.loads(state)["format"]
-    if found != _FORMAT and not (path / _SUMS).exists():
-        raise RunDirectoryError(
-            f"checkpoint {path}: found format {found}, expected {_FORMAT}; another version of a2s "
-            "made it: go on with that one, or begin another run"
-        )
 
 
 def _sums(files: Mapping[str, bytes]) -> bytes:

@@ -58,7 +58,7 @@ class Saver:
             "episodes": status.episodes.count,
             "env_steps": status.env_steps,
             "journal": None if journal is None else list(journal.place),
-            "ledger": None if self._ledger is None else list(self._ledger.mark),
+            "ledger": None if self._ledger is None else list(self._ledger.mark()),
             "version": status.version,
             "acting": base64.b64encode(status.acting).decode() if status.is_ahead else "",
             "num_recoveries": status.num_recoveries,

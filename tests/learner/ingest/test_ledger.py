@@ -1,5 +1,6 @@
 """The accounts: exactly once, whatever is killed, and they always balance."""
 
+import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from a2s.learner.ingest.ledger import Accounts, Ledger
+from a2s.learner.ingest.ledger import Accounts, Ledger, Mark
 from a2s.protocol.errors import RunDirectoryError
+from a2s.protocol.messages import Verdict
 
 NoRoom = Callable[[], AbstractContextManager[None]]
 EVENTS = st.lists(
@@ -104,7 +106,7 @@ def test_what_a_checkpoint_knows_of_it_cannot_change_unseen(tmp_path: Path) -> N
     ledger = Ledger(path)
     for seq in range(3):
         ledger.record("a", seq, "accepted", 7)
-    known = ledger.mark
+    known = ledger.mark()
     ledger.record("a", 3, "accepted", 7)
     ledger.close()
     whole = path.read_bytes()
@@ -119,10 +121,40 @@ def test_what_a_checkpoint_knows_of_it_cannot_change_unseen(tmp_path: Path) -> N
                     Ledger(path, known)
     path.write_bytes(whole)
     again = Ledger(path, known)
-    assert (again.accepted_steps, again.mark.size) == (28, len(whole))
+    assert (again.accepted_steps, again.mark().size) == (28, len(whole))
     again.close()
     path.write_bytes(whole[: known.size - 1])
     assert Ledger(path, known).accepted_steps == 14
+
+
+@given(events=EVENTS, then=EVENTS)
+def test_what_a_checkpoint_knows_is_what_its_lines_say(
+    tmp_path_factory: pytest.TempPathFactory,
+    events: list[tuple[str, int, Verdict]],
+    then: list[tuple[str, int, Verdict]],
+) -> None:
+    """The same ledger, from all lines or from a mark that was JSON and the lines after it."""
+    path = tmp_path_factory.mktemp("ledger") / "segments.log"
+    ledger, known = Ledger(path), None
+    for part in (events, then):
+        for actor, seq, verdict in part:
+            if not ledger.knows(actor, seq):
+                ledger.record(actor, seq, verdict, 3)
+        known = known or Mark(*json.loads(json.dumps(ledger.mark())))
+    ledger.close()
+    again, whole = Ledger(path, known), Ledger(path)
+    assert again.accounts() == whole.accounts() == ledger.accounts()
+    assert again.mark() == whole.mark() == ledger.mark()
+
+
+def test_lines_before_the_mark_are_not_read_again(tmp_path: Path) -> None:
+    """Only compared: what they say is in the mark."""
+    path = tmp_path / "segments.log"
+    ledger = Ledger(path)
+    ledger.record("a", 0, "accepted", 7)
+    known = ledger.mark()._replace(accepted_steps=1000)
+    ledger.record("a", 1, "accepted", 7)
+    assert Ledger(path, known).accepted_steps == 1007
 
 
 def test_a_file_of_another_kind_is_refused_and_left_alone(tmp_path: Path) -> None:
