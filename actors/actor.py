@@ -4,9 +4,9 @@ import logging
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from a2s.actors.environments.allowed import require_allowed
 from a2s.actors.environments.environment import Environment, require_alike
@@ -17,6 +17,7 @@ from a2s.actors.parent import Parent
 from a2s.actors.patience import Patience
 from a2s.actors.rollout import Rollout
 from a2s.actors.suggester import Suggester
+from a2s.actors.task import Task
 from a2s.actors.troubles import Troubles
 from a2s.actors.weights_client import WeightsClient
 from a2s.protocol.codec import decode, encode
@@ -35,38 +36,6 @@ _STATUS_EVERY_S = 1.0
 _LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
 _QUOTAS_IN_OUTBOX = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
-    """What the supervisor tells a worker process.
-
-    Attributes:
-        label: Place among the workers, for names and messages, for example ``host-0``.
-        worker: The number in it.
-        connect: Endpoint of the learner.
-        num_envs: Environments to step; ``None`` leaves it to the learner.
-        outbox_steps: Steps that may wait for an answer.
-        evaluates: It is an evaluator, and takes no part in the run.
-        allow_env: Code that a learner may have it run, as `require_allowed` takes it.
-        cause: Why the process before it in this place was replaced; empty if there was no other.
-        known_as: Name in the certificate, or of the user; the label begins with it.
-        tls: Folder of certificates, as `a2s.protocol.identity.Security` takes it.
-        password_file: File with a password, likewise.
-    """
-
-    label: str
-    worker: int
-    connect: str
-    run: str
-    num_envs: int | None
-    outbox_steps: int
-    evaluates: bool = False
-    allow_env: Sequence[str] = ()
-    cause: str = ""
-    known_as: str = ""
-    tls: str | None = None
-    password_file: str | None = None
 
 
 class Actor:

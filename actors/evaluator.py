@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from typing import NamedTuple
 
-from a2s.actors.actor import Task
 from a2s.actors.environments.allowed import require_allowed
 from a2s.actors.environments.environment import Environment
 from a2s.actors.evaluation import Evaluation, make_environments, play, trained_on
@@ -15,6 +14,7 @@ from a2s.actors.metrics import ActorMetrics
 from a2s.actors.parent import Parent
 from a2s.actors.patience import Patience
 from a2s.actors.suggester import Suggester
+from a2s.actors.task import Task
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError, UsageError

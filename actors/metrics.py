@@ -27,8 +27,8 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from a2s import __version__
-from a2s.protocol.codec import SCHEMA_VERSION
 from a2s.protocol.errors import UsageError
+from a2s.protocol.keys import MAJOR
 
 _FAST_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 _SLOW_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1, 0.5, 1.0, 5.0, 10.0)
@@ -179,7 +179,7 @@ class Fleet(Collector):
         self._past: list[_Totals] = [zeros] * num_workers
         self.registry = CollectorRegistry()
         build = Info("a2s_build", "What runs here.", registry=self.registry)
-        build.info({"version": __version__, "protocol": str(SCHEMA_VERSION)})
+        build.info({"version": __version__, "protocol": str(MAJOR)})
         self.registry.register(self)
         self._up = Gauge(
             "a2s_actor_worker_up", "Whether the worker process has reported.", ["worker"],

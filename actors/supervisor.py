@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
-from a2s.actors.actor import Task
 from a2s.actors.children import Child, Report, Watch, death_of
 from a2s.actors.metrics import Fleet
+from a2s.actors.task import Task
 from a2s.protocol.env_config import TIMEOUT_S
 from a2s.protocol.errors import A2SError
 

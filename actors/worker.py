@@ -5,11 +5,12 @@ import sys
 import traceback
 from contextlib import closing, suppress
 
-from a2s.actors.actor import Actor, Task
+from a2s.actors.actor import Actor
 from a2s.actors.environments.faults import Faults
 from a2s.actors.evaluator import Evaluator
 from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.parent import Parent, told
+from a2s.actors.task import Task
 from a2s.protocol.access import ACTOR
 from a2s.protocol.errors import A2SError, FaultyEnvironmentError, RefusedError, UsageError
 from a2s.protocol.identity import Security

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from a2s.protocol.checks import MAX_METRICS, METRIC_NAME, is_metric_name, require
 from a2s.protocol.errors import UsageError
-from a2s.protocol.fields import MAX_METRICS, METRIC_NAME, is_metric_name, require
 
 TIMEOUT_S = 120.0
 ALWAYS_METRIC = "is_success"

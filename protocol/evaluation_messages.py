@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from a2s.protocol.fields import MAX_METRICS, NAME, is_name, require, require_counts
+from a2s.protocol.checks import MAX_METRICS, NAME, is_name, require, require_counts
 from a2s.protocol.messages import MAX_PLAYED, EpisodeMetric
 
 EvaluationMode = Literal["mean", "best-of-k"]

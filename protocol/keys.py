@@ -3,8 +3,8 @@
 The 2 is the major version of the protocol: peers of another one never meet.
 """
 
+from a2s.protocol.checks import NAME, is_name
 from a2s.protocol.errors import UsageError
-from a2s.protocol.fields import NAME, is_name
 from a2s.protocol.transport import Bus
 
 MAJOR = 2

@@ -13,18 +13,17 @@ from typing import Literal
 
 import numpy as np
 
-from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.fields import (
+from a2s.protocol.checks import (
     MAX_METRICS,
     METRIC_NAME,
     NAME,
-    Array,
-    Spaces,
     is_metric_name,
     is_name,
     require,
     require_counts,
 )
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.fields import Array, Spaces
 
 Clock = Literal["lockstep", "async"]
 Verdict = Literal["accepted", "duplicate", "stale", "refused", "unknown"]

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from a2s.protocol.fields import Array, Spaces, require, require_counts, require_finite
+from a2s.protocol.checks import require, require_counts
+from a2s.protocol.fields import Array, Spaces, require_finite
 
 Column = Literal["obs", "action", "reward", "next_obs", "discount", "weight", "row"]
 COLUMNS: tuple[Column, ...] = get_args(Column)

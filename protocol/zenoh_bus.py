@@ -16,6 +16,7 @@ from typing import Any, Literal
 import zenoh
 
 from a2s.protocol import refusal
+from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.errors import A2SError, RefusedError, UnreachableError, UsageError
 from a2s.protocol.identity import ANYBODY, Identity
 from a2s.protocol.transport import Answer, AnswerEach, OnEach, OnMessage, OnPresence
@@ -25,8 +26,6 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S = 10.0
 _REFUSED_WITHIN_S = 1.0
 _OPEN_MS = 2000
-
-_ENDPOINT = re.compile(r"(tcp|tls|quic|ws)/[^/?#]+:(?P<port>\d{1,5})|unixsock-stream/.+")
 
 _SETTINGS = {
     "scouting/multicast/enabled": False,
@@ -300,16 +299,6 @@ def _logged(key: str) -> Iterator[None]:
 
 def _last(key: zenoh.KeyExpr) -> str:
     return str(key).rpartition("/")[2]
-
-
-def check_endpoint(endpoint: str) -> None:
-    """Raise UsageError unless the endpoint is of the form PROTOCOL/HOST:PORT."""
-    found = _ENDPOINT.fullmatch(endpoint)
-    if found is None or not 0 < int(found["port"] or 1) < 1 << 16:
-        raise UsageError(
-            f"endpoint: found {endpoint!r}, expected PROTOCOL/HOST:PORT, "
-            "for example tcp/127.0.0.1:7447"
-        )
 
 
 def _reason(error: Exception) -> str:

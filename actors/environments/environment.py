@@ -12,9 +12,10 @@ from a2s.actors.environments.faults import Faults, brief, wrong_reset
 from a2s.actors.environments.making import as_usage, limit_of, make
 from a2s.actors.environments.observations import Observations
 from a2s.actors.environments.spaces import Layout, read_layout, read_spaces
+from a2s.protocol.checks import MAX_METRICS
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError, said_by
-from a2s.protocol.fields import MAX_METRICS, Array
+from a2s.protocol.fields import Array
 from a2s.protocol.messages import EpisodeMetric
 
 logger = logging.getLogger(__name__)

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from a2s.protocol.fields import MAX_METRICS
+from a2s.protocol.checks import MAX_METRICS
 
 _WINDOW = 100
 _RECENT = 10

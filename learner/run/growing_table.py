@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import IO
 
 from a2s.learner.run.writing import open_lines, write_atomically
-from a2s.protocol.fields import MAX_METRICS
+from a2s.protocol.checks import MAX_METRICS
 
 
 class GrowingTable:

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import asdict
 
-from a2s.actors.actor import Task
 from a2s.actors.children import Child, Report
+from a2s.actors.task import Task
 from a2s.commands.process import free_endpoint
 
 

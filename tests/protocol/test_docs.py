@@ -15,10 +15,11 @@ from a2s.learner.export.graph import CONTRACT
 from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.own_replay import OwnReplay
 from a2s.learner.run.run_config import RunConfig
+from a2s.protocol.checks import MAX_METRICS
 from a2s.protocol.codec import MAX_BYTES, Message, decode, encode
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.evaluation_messages import EvaluatedEpisode
-from a2s.protocol.fields import MAX_METRICS, Spaces
+from a2s.protocol.fields import Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import (
     MAX_PLAYED,

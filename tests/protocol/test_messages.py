@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from message_examples import ENV, EXAMPLES, SPACES, f32
 
+from a2s.protocol.checks import MAX_METRICS, is_name
 from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.evaluation_messages import EvaluationResult, EvaluationTask
-from a2s.protocol.fields import MAX_METRICS, Array, Spaces, is_name
+from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import (
     Ack,
     ActorStatus,

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import typer
 
-from a2s.actors.actor import Task
 from a2s.actors.metrics import Fleet, serve
 from a2s.actors.supervisor import Supervisor
+from a2s.actors.task import Task
 from a2s.commands.process import (
     ACTOR_METRICS_PORT,
     log_warnings,
@@ -16,9 +16,9 @@ from a2s.commands.process import (
     stop_on_signals,
 )
 from a2s.protocol.access import ACTOR
+from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
-from a2s.protocol.zenoh_bus import check_endpoint
 
 
 def act(

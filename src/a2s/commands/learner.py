@@ -43,12 +43,13 @@ from a2s.learner.run.progress import make_view
 from a2s.learner.run.run_config import COUNTED, RunConfig
 from a2s.learner.run.writing import write_atomically
 from a2s.protocol.access import ACTOR, LEARNER, VIEWER
+from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.generations import MARK_BITS
 from a2s.protocol.identity import Security, is_local
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.replay_messages import MAX_SAMPLED, MAX_STEPS, ReplayInfo
-from a2s.protocol.zenoh_bus import ZenohBus, check_endpoint
+from a2s.protocol.zenoh_bus import ZenohBus
 
 _POLL_S = 0.05
 

@@ -13,8 +13,9 @@ from gymnasium.spaces.utils import flatdim
 from a2s.actors.environments.spaces import bounds_of
 from a2s.commands.minari_export import require_minari
 from a2s.learner.replay.files import Description
+from a2s.protocol.checks import require
 from a2s.protocol.errors import A2SError, MalformedMessageError, UsageError
-from a2s.protocol.fields import Array, Spaces, require
+from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
 
 _ACTOR = "minari"

@@ -37,10 +37,10 @@ from a2s.learner.run.config import Configuration
 from a2s.learner.run.writing import writing
 from a2s.protocol import passwords
 from a2s.protocol.access import ACTOR
+from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
-from a2s.protocol.zenoh_bus import check_endpoint
 
 _POLL_S = 0.05
 _STOP_S = 30.0
