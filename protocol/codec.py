@@ -5,7 +5,7 @@ built.
 Fields may be added at any time: an unknown one is ignored, a missing one has its default.
 """
 
-import math
+import operator
 import reprlib
 import types
 import typing
@@ -24,6 +24,7 @@ from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, Sch
 SCHEMA_VERSION = keys.MAJOR
 MIB = 1 << 20
 _DTYPE = np.dtype("<f4")
+_ARRAY, _SIZES = {"dtype", "shape", "data"}, "at most two sizes that fit data"
 
 Message = (
     messages.Hello
@@ -107,7 +108,7 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     kind = _KINDS.get(name) if isinstance(name, str) else None
     if kind not in kinds:
         raise MalformedMessageError(f"kind: found {_brief(name)}, expected {expected}")
-    return typing.cast("M", _from_map(body, kind))
+    return typing.cast("M", _from_map(body, _plan(typing.cast("type", kind))))
 
 
 def _unpack(payload: bytes, most: int) -> Any:
@@ -125,76 +126,116 @@ def _check_size(num_bytes: int, *kinds: type) -> None:
         raise OversizeMessageError(f"{name}: found {num_bytes} bytes, expected at most {limit}")
 
 
+Read = Callable[[Any], Any]
+Write = Callable[[Any], Any]
+
+
 @dataclass(frozen=True, slots=True)
-class _Field:
-    name: str
-    read: Callable[[Any, str], Any]
-    required: bool
+class _Plan:
+    """How messages of a kind are read and written; made once, because all of it is needed often."""
+
+    kind: type
+    names: tuple[str, ...]
+    values: Callable[[Any], tuple[Any, ...]]  # of a message's fields
+    read: tuple[tuple[str, Read], ...]
+    write: tuple[tuple[str, Write], ...]  # those that are not written as they are
+    required: frozenset[str]
 
 
 @cache
-def _plan(kind: type) -> tuple[_Field, ...]:
-    hints = typing.get_type_hints(kind)
-    return tuple(_Field(f.name, _reader(hints[f.name]), f.default is MISSING) for f in fields(kind))
+def _plan(kind: type) -> _Plan:
+    hints, names = typing.get_type_hints(kind), tuple(f.name for f in fields(kind))
+    values = operator.attrgetter(*names) if len(names) > 1 else lambda m: (getattr(m, names[0]),)
+    written = ((name, _writer(hints[name])) for name in names)
+    return _Plan(
+        kind=kind,
+        names=names,
+        values=values,
+        read=tuple((name, _reader(hints[name], f"{kind.__name__}.{name}")) for name in names),
+        write=tuple((name, write) for name, write in written if write is not None),
+        required=frozenset(f.name for f in fields(kind) if f.default is MISSING),
+    )
 
 
 def _to_map(message: Any) -> dict[str, Any]:
     kind: type = type(message)
-    return {f.name: _to_wire(getattr(message, f.name)) for f in _plan(kind)}
-
-
-def _to_wire(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        data = np.ascontiguousarray(value, dtype=_DTYPE)
-        return {"dtype": _DTYPE.str, "shape": list(data.shape), "data": data.tobytes()}
-    if isinstance(value, tuple):
-        return [_to_wire(item) for item in value]
-    return _to_map(value) if is_dataclass(value) else value
-
-
-def _from_map(body: Any, kind: type) -> Any:
     plan = _plan(kind)
-    _expect(isinstance(body, dict), body, kind.__name__, "a map of its fields")
-    missing = [f.name for f in plan if f.required and f.name not in body]
-    if missing:
-        raise MalformedMessageError(f"{kind.__name__}: missing fields {missing}")
-    present = (f for f in plan if f.name in body)
-    return kind(**{f.name: f.read(body[f.name], f"{kind.__name__}.{f.name}") for f in present})
+    body = dict(zip(plan.names, plan.values(message), strict=True))
+    for name, write in plan.write:
+        body[name] = write(body[name])
+    return body
 
 
-def _reader(hint: Any) -> Callable[[Any, str], Any]:
+def _writer(hint: Any) -> Write | None:
+    """Make the function that turns a field's value into what msgpack knows; ``None``: it does."""
+    origin = typing.get_origin(hint)
+    if origin is np.ndarray:
+        return _write_array
+    if origin is types.UnionType:
+        inner = _writer(_of_optional(hint))
+        return inner and (lambda value: None if value is None else inner(value))
+    if origin is tuple:
+        item = _writer(typing.get_args(hint)[0])
+        return (lambda value: [item(each) for each in value]) if item else list
+    return _to_map if is_dataclass(hint) else None
+
+
+def _write_array(value: np.ndarray) -> dict[str, Any]:
+    data = np.ascontiguousarray(value, dtype=_DTYPE)
+    return {"dtype": _DTYPE.str, "shape": list(data.shape), "data": data.tobytes()}
+
+
+def _from_map(body: Any, plan: _Plan) -> Any:
+    if not isinstance(body, dict):
+        raise _unexpected(body, plan.kind.__name__, "a map of its fields")
+    if not plan.required <= body.keys():
+        missing = [name for name in plan.names if name in plan.required and name not in body]
+        raise MalformedMessageError(f"{plan.kind.__name__}: missing fields {missing}")
+    return plan.kind(**{name: read(body[name]) for name, read in plan.read if name in body})
+
+
+def _reader(hint: Any, where: str) -> Read:
     """Make the function that checks a decoded value against a field's type."""
     origin = typing.get_origin(hint)
     if origin is np.ndarray:
-        return _read_array
+        return lambda value: _read_array(value, where)
     if origin is typing.Literal:
         choices = typing.get_args(hint)
-        return lambda value, where: _expect(value in choices, value, where, f"one of {choices}")
+        return _checked(lambda value: value in choices, where, f"one of {choices}")
     if origin is types.UnionType:
-        inner = _reader(next(a for a in typing.get_args(hint) if a is not type(None)))
-        return lambda value, where: None if value is None else inner(value, where)
+        inner = _reader(_of_optional(hint), where)
+        return lambda value: None if value is None else inner(value)
     if origin is tuple:
-        item = _reader(typing.get_args(hint)[0])
-        return lambda value, where: tuple(
-            item(v, where) for v in _expect(isinstance(value, list), value, where, "an array")
-        )
+        item = _reader(typing.get_args(hint)[0], where)
+        items = _checked(lambda value: isinstance(value, list), where, "an array")
+        return lambda value: tuple(item(each) for each in items(value))
     if is_dataclass(hint):
-        return lambda value, _where: _from_map(value, typing.cast("type", hint))
+        return lambda value: _from_map(value, _plan(typing.cast("type", hint)))
     if hint is float:
-        return lambda value, where: float(
-            _expect(type(value) in (float, int), value, where, "a number")
-        )
+        number = _checked(lambda value: type(value) in (float, int), where, "a number")
+        return lambda value: value if type(value) is float else float(number(value))
     if hint is int:
-        return lambda value, where: _expect(
-            type(value) is int and value < 1 << 63, value, where, "an integer below 2^63"
+        return _checked(
+            lambda value: type(value) is int and value < 1 << 63, where, "an integer below 2^63"
         )
-    return lambda value, where: _expect(type(value) is hint, value, where, hint.__name__)
+    return _checked(lambda value: type(value) is hint, where, hint.__name__)
 
 
-def _expect(condition: bool, value: Any, where: str, expected: str) -> Any:
-    if not condition:
-        raise MalformedMessageError(f"{where}: found {_brief(value)}, expected {expected}")
-    return value
+def _checked(is_right: Callable[[Any], bool], where: str, expected: str) -> Read:
+    def read(value: Any) -> Any:
+        if is_right(value):
+            return value
+        raise _unexpected(value, where, expected)
+
+    return read
+
+
+def _of_optional(hint: Any) -> Any:
+    return next(each for each in typing.get_args(hint) if each is not type(None))
+
+
+def _unexpected(value: Any, where: str, expected: str) -> MalformedMessageError:
+    return MalformedMessageError(f"{where}: found {_brief(value)}, expected {expected}")
 
 
 def _brief(value: Any) -> str:
@@ -203,13 +244,21 @@ def _brief(value: Any) -> str:
 
 
 def _read_array(value: Any, where: str) -> np.ndarray:
-    is_map = isinstance(value, dict) and value.keys() == {"dtype", "shape", "data"}
-    _expect(is_map, value, where, "an array map of dtype, shape and data")
+    if not (isinstance(value, dict) and value.keys() == _ARRAY):
+        raise _unexpected(value, where, "an array map of dtype, shape and data")
     dtype, shape, data = value["dtype"], value["shape"], value["data"]
-    _expect(dtype == _DTYPE.str, dtype, f"{where}: dtype", repr(_DTYPE.str))
-    _expect(isinstance(data, bytes), data, f"{where}: data", "bytes")
-    sizes = isinstance(shape, list) and all(type(n) is int and 0 <= n <= len(data) for n in shape)
-    _expect(sizes and len(shape) <= 2, shape, f"{where}: shape", "at most two sizes that fit data")
-    num_bytes = _DTYPE.itemsize * math.prod(shape)
-    _expect(len(data) == num_bytes, len(data), f"{where}: data", f"{num_bytes} bytes")
+    if dtype != _DTYPE.str:
+        raise _unexpected(dtype, f"{where}: dtype", repr(_DTYPE.str))
+    if not isinstance(data, bytes):
+        raise _unexpected(data, f"{where}: data", "bytes")
+    most = len(data)
+    num_bytes = _DTYPE.itemsize
+    if not (isinstance(shape, list) and len(shape) <= 2):
+        raise _unexpected(shape, f"{where}: shape", _SIZES)
+    for size in shape:
+        if type(size) is not int or not 0 <= size <= most:
+            raise _unexpected(shape, f"{where}: shape", _SIZES)
+        num_bytes *= size
+    if most != num_bytes:
+        raise _unexpected(most, f"{where}: data", f"{num_bytes} bytes")
     return np.frombuffer(data, dtype=_DTYPE).reshape(shape)

@@ -158,7 +158,10 @@ class Segment:
         require(length >= self.num_steps, subject, length, "episode_length >= T")
         count = len(self.metrics)
         require(count <= MAX_METRICS, f"{subject}: metrics", count, f"at most {MAX_METRICS}")
-        for name in ("obs", "final_obs", "reward", "episode_return"):
+        fits = abs(self.episode_return) <= MAX_PLAYED  # false for NaN
+        most = f"at most {MAX_PLAYED:g} in size"
+        require(fits, f"{subject}: episode_return", abs(self.episode_return), most)
+        for name in ("obs", "final_obs", "reward"):
             self._check_size(subject, name, MAX_PLAYED)
         for name in ("suggestion", "log_prob"):
             self._check_size(subject, name, MAX_SUGGESTED)
@@ -167,21 +170,18 @@ class Segment:
         require(self.obs.ndim == 2 and self.obs.size > 0, subject, self.obs.shape, "obs [T, D]")
         steps, obs_size = self.obs.shape
         require(self.suggestion.ndim == 2, subject, self.suggestion.shape, "suggestion [T, A]")
-        lengths = {
-            "obs": steps,
-            "suggestion": len(self.suggestion),
-            "log_prob": self.log_prob.shape,
-            "reward": self.reward.shape,
-        }
-        agree = list(lengths.values()) == [steps, steps, (steps,), (steps,)]
-        require(agree, f"{subject}: arrays disagree about T", lengths, "one length")
+        lengths = steps, len(self.suggestion), self.log_prob.shape, self.reward.shape
+        if lengths != (steps, steps, (steps,), (steps,)):
+            found = dict(zip(("obs", "suggestion", "log_prob", "reward"), lengths, strict=True))
+            require(False, f"{subject}: arrays disagree about T", found, "one length")
         final = self.final_obs.shape
         require(final == (obs_size,), f"{subject}: final_obs", final, f"({obs_size},) as in obs")
 
     def _check_size(self, subject: str, name: str, most: float) -> None:
-        largest = float(np.max(np.abs(getattr(self, name)), initial=0.0))
-        fits = largest <= most  # false for NaN
-        require(fits, f"{subject}: {name}", largest, f"at most {most:g} in size")
+        sizes = np.abs(getattr(self, name))
+        # By way of `max` and its arguments it takes twice as long.
+        if sizes.size and not (largest := np.maximum.reduce(sizes, None)) <= most:  # also for NaN
+            require(False, f"{subject}: {name}", float(largest), f"at most {most:g} in size")
 
     @property
     def num_steps(self) -> int:
