@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,13 +35,21 @@ class Commands:
                 process.kill()
                 process.wait(5.0)
 
-    def start(self, *arguments: str, environ: Mapping[str, str] = os.environ) -> Command:
-        """Start ``a2s`` with these arguments; its words go into a log."""
+    def start(
+        self,
+        *arguments: str,
+        environ: Mapping[str, str] = os.environ,
+        within: Sequence[str] = (),
+    ) -> Command:
+        """Start ``a2s`` with these arguments; its words go into a log.
+
+        ``within`` are words of a command that becomes it.
+        """
         self._count += 1
         log = self.folder / f"{self._count}-{arguments[0]}.log"
         with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "a2s.cli", *arguments],
+                [*within, sys.executable, "-P", "-m", "a2s.cli", *arguments],
                 cwd=self.folder,
                 env=self.marked(environ),
                 stdout=out,

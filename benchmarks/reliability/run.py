@@ -25,6 +25,7 @@ TRIALS: dict[str, tuple[str, str]] = {  # short, full
     "fuzz": ("--decode 20000 --live 2000", "--decode 1000000 --live 100000"),
     "pauses": ("--pause 5 --away 5", "--pause 30 --away 60"),
     "soak": ("--minutes 0.5", "--minutes 60"),
+    "links": ("--partition 10 --seconds 20", "--partition 10 60 --seconds 300"),  # needs root
 }
 COLUMNS = (
     "program", "trial", "must_hold", "count", "failed", "figures", "first_failure", "options",
