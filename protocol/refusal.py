@@ -32,13 +32,17 @@ def is_awaited(endpoint: str) -> bool:
     A tunnel or a forwarded port without a learner behind it takes a connection, and ends it.
     """
     try:
-        with closing(_reach(endpoint)) as link:
-            link.settimeout(_SILENT_S)
-            return bool(link.recv(1))
-    except TimeoutError:
-        return True
-    except OSError:
+        link = _reach(endpoint)
+    except OSError:  # it timed out as well, where what is sent is lost
         return False
+    with closing(link):
+        link.settimeout(_SILENT_S)
+        try:
+            return bool(link.recv(1))
+        except TimeoutError:
+            return True
+        except OSError:
+            return False
 
 
 def has_address(endpoint: str) -> bool:

@@ -1,6 +1,7 @@
 """Who is not let in, over real zenoh: each is told why, and what to do, in one line."""
 
 import re
+import socket
 import socketserver
 import threading
 from collections.abc import Iterator
@@ -172,3 +173,15 @@ def test_a_host_without_an_address_is_told_from_one_without_a_learner(
     endpoint: str, expected: bool
 ) -> None:
     assert refusal.has_address(endpoint) is expected
+
+
+def test_a_host_that_takes_no_connection_is_not_said_to_listen() -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as full:
+        host, port = full.getsockname()
+        waiting = [socket.socket() for _ in range(4)]  # as many as it takes to fill its queue
+        for each in waiting:
+            each.setblocking(False)
+            each.connect_ex((host, port))
+        assert not refusal.is_awaited(f"tcp/{host}:{port}")
+        for each in waiting:
+            each.close()
