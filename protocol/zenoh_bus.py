@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S = 10.0
 _REFUSED_WITHIN_S = 1.0
 _OPEN_MS = 2000
+_CLOSE_S = 2.0
 
 _SETTINGS = {
     "scouting/multicast/enabled": False,
@@ -204,10 +205,20 @@ class ZenohBus:
         return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def close(self) -> None:
-        """Close the session."""
+        """Close the session: no handler is called any more.
+
+        A peer that has become silent holds zenoh up for ten seconds, at whose end it gives up; who
+        closes waits for two of them, and the interpreter's end for the rest.
+        """
         for turns in self._turns:
             turns.end()
         if not self._session.is_closed():
+            closing = threading.Thread(target=self._close, name="close")
+            closing.start()
+            closing.join(_CLOSE_S)
+
+    def _close(self) -> None:
+        with suppress(zenoh.ZError):  # what it has given up is closed all the same
             self._session.close()  # type: ignore[no-untyped-call]
 
 

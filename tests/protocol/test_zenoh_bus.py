@@ -3,6 +3,7 @@
 import itertools
 import logging
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -195,6 +196,29 @@ def test_a_killed_peer_is_seen_as_leaving(endpoint: str) -> None:
             finally:
                 process.kill()
             assert present.get(timeout=5.0) == (LIVE, False)  # before the lease of 10 s
+
+
+def test_a_peer_that_reads_no_more_does_not_keep_us_from_closing(endpoint: str) -> None:
+    program = (
+        "import sys, threading\n"
+        "from a2s.protocol.zenoh_bus import ZenohBus\n"
+        "bus = ZenohBus.connect(sys.argv[1], lambda: False)\n"
+        "bus.subscribe(sys.argv[2], print)\n"
+        "bus.declare_presence(sys.argv[2])\n"
+        "threading.Event().wait(60)\n"
+    )
+    present: SimpleQueue[tuple[str, bool]] = SimpleQueue()
+    learner = ZenohBus.listen(endpoint)
+    learner.watch_presence(LIVE, lambda *seen: present.put(seen))
+    with subprocess.Popen([sys.executable, "-c", program, endpoint, LIVE]) as process:
+        try:
+            assert present.get(timeout=DEADLINE_S) == (LIVE, True)
+            process.send_signal(signal.SIGSTOP)
+            for _ in range(8):  # more than fits into its link
+                learner.publish(LIVE, bytes(1 << 20))
+            learner.close()
+        finally:
+            process.kill()
 
 
 def test_a_unix_socket_will_do(tmp_path: Path) -> None:
