@@ -2,11 +2,13 @@
 
 ``python -m reliability.links --partition 10 60 --seconds 120``: learner and actors are in network
 namespaces of their own (``link.py``). First both directions of the link are cut, then either one
-alone, for so many seconds each. Then so many seconds over a link without delay or loss, and as many
-with 100 +- 50 ms in each direction and 2 % of the frames lost, twice: in async, which must keep up,
-and on-policy in lockstep, to know. These play Hopper-v5 as fast as a real one would, 2 x 2
-environments of 125 steps/s: such a link has room for their steps, and those who simulate faster
-than that have a nearer learner. TCP is that of the machine.
+alone, for so many seconds each; at the end they are ended while both are cut. Then so many seconds
+over a link without delay or loss, and as many with 100 +- 50 ms in each direction and 2 % of the
+frames lost: in async, which must keep up, and on-policy in lockstep too, to know.
+
+These play Hopper-v5 as fast as a real one would, 2 x 2 environments of 125 steps/s: such a link has
+room for their steps, and those who simulate faster than that have a nearer learner. Off-policy
+there is an update for ten steps, so that the learner is not what limits. TCP is the machine's.
 """
 
 import argparse
@@ -31,10 +33,15 @@ CUTS = {
 }
 LOSSY = Quality(delay_s=0.1, jitter_s=0.05, loss=0.02)
 HOPPER = ("--env", "Hopper-v5", "--wrapper", "reliability.real_time:RealTime")
+HOPPERS = {
+    "on-policy": (*HOPPER, *VARIANTS["on-policy"]),
+    "off-policy": (*HOPPER, *VARIANTS["off-policy"], "--set", "utd_ratio=0.1"),
+}
 _ENDPOINT = f"tcp/{ADDRESSES[LEARNER]}:7447"
 _CODE = ("a2s_test_envs", "reliability.real_time")
 _WORKERS = 2
 _HEALED_S = 60.0
+_SILENT_S = 2.0  # not yet noticed
 
 
 class Run:
@@ -130,6 +137,8 @@ def partitions(variant: str, cuts_s: Sequence[float], place: Path) -> Result:
                     result.add(of=f"{of}, again after {again_s[-1]:.1f} s")
                 except TimeoutError as error:
                     result.add(str(error), of=of)
+        link.cut(*CUTS["both directions"])
+        time.sleep(_SILENT_S)
         run.end(result)
     result.quantiles("learns again after", again_s)
     return result
@@ -142,8 +151,8 @@ def lossy(variant: str, clock: str, seconds: float, place: Path) -> Result:
         f"goes on, accounts balance{'; at least half as fast' if clock == 'async' else ''}",
     )
     with Link() as link, Commands(place) as commands:
-        options = (*HOPPER, *VARIANTS[variant], f"--{clock}")
-        run = Run(link, commands, place / f"lossy-{variant}-{clock}", *options)
+        path = place / f"lossy-{variant}-{clock}"
+        run = Run(link, commands, path, *HOPPERS[variant], f"--{clock}")
         plain = run.rate(seconds)
         link.become(LOSSY)
         try:
