@@ -36,6 +36,7 @@ _STATUS_EVERY_S = 1.0
 _LOOK_EVERY_S = 0.1
 _DRAIN_S = 5.0
 _QUOTAS_IN_OUTBOX = 2
+_BESIDE_S = 0.02  # longer than weights need on a short way
 
 
 class Actor:
@@ -153,8 +154,9 @@ class Actor:
                 welcome = self._join(replace(hello, cause=""))
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
+                beside = welcome.clock == "async" and self._notice is not None
                 with self._metrics.spending("waiting"):
-                    suggester = self._pull() or suggester
+                    suggester = self._pull(beside=beside) or suggester
                 if welcome.clock == "async" and self._notice is not None:
                     # A segment that waits long was made with outdated weights.
                     quota_steps = self._notice.quota_steps * len(environments)
@@ -228,10 +230,15 @@ class Actor:
             self._stopped.wait(_ASK_AGAIN_S)
         return None
 
-    def _pull(self) -> Suggester | None:
-        weights = self._weights.pull()
+    def _pull(self, *, beside: bool) -> Suggester | None:
+        """Take newer weights once they are there; ``beside``: hardly wait for them."""
+        patience_s = _LOOK_EVERY_S
+        if beside:
+            patience_s = 0.0 if self._weights.is_fetching else _BESIDE_S
+        weights = self._weights.pull(patience_s)
         if weights is None:
-            self._stopped.wait(_ASK_AGAIN_S)
+            if not (beside or self._weights.is_fetching):
+                self._stopped.wait(_ASK_AGAIN_S)
             return None
         before = self._notice
         if before is not None and before.identity == weights.notice.identity:

@@ -5,6 +5,7 @@ import random
 import threading
 from collections import deque
 from collections.abc import Callable
+from itertools import islice
 from time import perf_counter
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ class _Waiting(NamedTuple):
 class _Asked(NamedTuple):
     answer: Callable[[], bytes | None]
     begin_s: float
+    steps: int
 
 
 class Outbox:
@@ -35,9 +37,9 @@ class Outbox:
     At least once on the wire: when a segment gets no answer it is sent again, the same bytes, and
     all that were sent after it; until it is answered nothing else is under way. When the
     outbox is full :meth:`put` blocks, so that an absent learner holds the actor back instead of
-    filling its memory. ``capacity_steps`` may wait, in at most 256 MiB; at least one segment always
-    fits. On a thread of its own, ``on_ack`` gets every answer, and ``on_unknown`` is called when
-    the learner does not know this actor.
+    filling its memory: ``capacity_steps`` may wait besides those under way behind the oldest, in at
+    most 256 MiB, and at least one segment always fits. On a thread of its own, ``on_ack`` gets
+    every answer, and ``on_unknown`` is called when the learner does not know this actor.
 
     Attributes:
         window: Segments that may be without an answer at a time.
@@ -102,7 +104,9 @@ class Outbox:
     def _fits(self, item: _Waiting) -> bool:
         if not self._waiting:
             return True
-        fits = self.steps + item.steps <= self._capacity_steps and not self._held_back
+        under_way = sum(asked.steps for asked in islice(self._asked, 1, None))
+        waiting = self.steps - under_way
+        fits = waiting + item.steps <= self._capacity_steps and not self._held_back
         return fits and self._bytes + len(item.payload) <= _MAX_BYTES
 
     def close(self, timeout_s: float) -> int:
@@ -149,7 +153,7 @@ class Outbox:
             answer = self._bus.begin_asking(self._key, item.payload, _ASK_TIMEOUT_S)
             with self._changed:
                 if begun == self._times_begun_again:
-                    self._asked.append(_Asked(answer, begin_s))
+                    self._asked.append(_Asked(answer, begin_s, item.steps))
                     self._changed.notify_all()
 
     def _may_ask(self) -> bool:

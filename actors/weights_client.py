@@ -3,6 +3,7 @@
 import hashlib
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from a2s.protocol.codec import decode
 from a2s.protocol.errors import MalformedMessageError
@@ -11,6 +12,7 @@ from a2s.protocol.messages import Ack, Notice, Weights
 from a2s.protocol.transport import Bus
 
 _ASK_TIMEOUT_S = 5.0
+_FETCH_TIMEOUT_S = 60.0  # begun anew on a slow link, it would come behind what is on its way
 _ASK_EVERY_S = 1.0
 
 
@@ -20,6 +22,8 @@ class WeightsClient:
     An announcement can be lost, so a waiting actor also asks, once a second. An announcement
     older than the known notice came late and is ignored. An answer is always taken: if it is older,
     it comes from another learner, which does not know what the one before had published.
+
+    Weights are fetched on a thread of their own: who does not want to wait for them plays on.
 
     Anybody can announce. That the learner has restarted or recovered is believed only when it says
     so itself; other announcements are tried by fetching the weights.
@@ -33,18 +37,22 @@ class WeightsClient:
         self._is_answer = False  # the notice is what the learner has answered
         self._generation: int | None = None  # of its latest answer
         self._asking = True
+        self._thread = ThreadPoolExecutor(1, "weights")
+        self._fetch: Future[Weights | None] | None = None
         bus.subscribe(keys.notice, lambda payload: self._hear_of(decode(payload, Notice)))
 
     def hear(self, ack: Ack) -> None:
-        """Request the notice if an acknowledgement names other weights."""
+        """Request the notice if an acknowledgement names newer weights, or those of another."""
         with self._changed:
             known = self._notice
-            if known is None or (ack.generation, ack.weights_version) != known.identity:
+            is_other = known is None or ack.generation != known.generation
+            if is_other or (known is not None and ack.weights_version > known.version):
                 self._asking = True
                 self._changed.notify_all()
 
     def forget(self) -> None:
-        """Forget the notice, and request it."""
+        """Forget the notice, and request it; forget what is being fetched."""
+        self._fetch = None
         with self._changed:
             self._notice, self._is_answer, self._asking = None, False, True
 
@@ -82,10 +90,26 @@ class WeightsClient:
                     self._asking = True
         return None
 
-    def pull(self) -> Weights | None:
-        """Fetch the newest weights; ``None`` if there is no answer, or its bytes are damaged."""
+    @property
+    def is_fetching(self) -> bool:
+        """Whether weights are on their way."""
+        return self._fetch is not None
+
+    def pull(self, patience_s: float) -> Weights | None:
+        """Give the newest weights, or ``None`` if they do not come in this time.
+
+        Then they are still on their way, for a later call; or there was no answer, or its bytes
+        were damaged.
+        """
+        fetch = self._fetch = self._fetch or self._thread.submit(self._pull)
+        if not wait([fetch], patience_s).done:
+            return None
+        self._fetch = None
+        return fetch.result()
+
+    def _pull(self) -> Weights | None:
         known = self._notice
-        reply = self._bus.ask(self._keys.weights, b"", _ASK_TIMEOUT_S)
+        reply = self._bus.ask(self._keys.weights, b"", _FETCH_TIMEOUT_S)
         if not reply:
             return None
         try:

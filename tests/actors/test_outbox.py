@@ -151,7 +151,9 @@ class _Far:
     a learner does, it takes them in order.
     """
 
-    def __init__(self, stack: ExitStack, window: int, lost: set[int]) -> None:
+    def __init__(
+        self, stack: ExitStack, window: int, lost: set[int], capacity_steps: int = 1000
+    ) -> None:
         self.gate, self.heard, self.taken = threading.Event(), list[int](), list[int]()
         self.most_unanswered, self._lost = 0, lost
         self.metrics = ActorMetrics()
@@ -159,7 +161,7 @@ class _Far:
         learner = stack.enter_context(closing(ZenohBus.listen(endpoint)))
         learner.answer_in_turn("k", self._answer, bytes, 100)
         actor = stack.enter_context(closing(ZenohBus.connect(endpoint, lambda: False)))
-        self.outbox = Outbox(actor, "k", 1000, lambda _: None, lambda: None, self.metrics)
+        self.outbox = Outbox(actor, "k", capacity_steps, lambda _: None, lambda: None, self.metrics)
         self.outbox.window = window
         stack.callback(self.outbox.close, 0.0)
         stack.callback(self.gate.set)
@@ -190,6 +192,17 @@ def test_as_many_as_the_window_are_under_way(wait_for: WaitFor) -> None:
         wait_for(lambda: far.outbox.answered == 20, "20 answers")
         assert far.heard == list(range(20))
         assert far.most_unanswered == 4
+
+
+def test_those_under_way_leave_room_for_others(wait_for: WaitFor) -> None:
+    """The oldest and one more wait, as 8 steps may; three are under way."""
+    with ExitStack() as stack:
+        far = _Far(stack, 4, set(), capacity_steps=8)
+        assert all(far.outbox.put(_segment(seq), 10.0) for seq in range(5))
+        wait_for(lambda: total(far.metrics.messages_sent) == 4, "a full window")
+        assert not far.outbox.put(_segment(5), 0.01)
+        far.gate.set()
+        assert far.outbox.put(_segment(5), 10.0)
 
 
 def test_when_one_is_lost_it_is_sent_alone_then_all_after_it_in_order(wait_for: WaitFor) -> None:

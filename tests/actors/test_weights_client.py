@@ -85,17 +85,26 @@ def test_an_answer_does_not_hide_what_was_announced_while_it_was_on_its_way(
     assert _see(client, known) == (2, 16)
 
 
-@pytest.mark.parametrize("version", [3, 16])
-def test_an_acknowledgement_of_other_weights_has_them_asked_for(
-    client: WeightsClient, learner: _Learner, make_notice: MakeNotice, version: int
+@pytest.mark.parametrize(
+    ("named", "seen"), [((2, 16), (2, 16)), ((3, 1), (3, 1)), ((2, 14), (2, 15))]
+)
+def test_an_acknowledgement_of_newer_weights_or_another_learner_has_them_asked_for(
+    client: WeightsClient,
+    learner: _Learner,
+    make_notice: MakeNotice,
+    named: tuple[int, int],
+    seen: tuple[int, int],
 ) -> None:
-    learner.asked = repeat(make_notice(generation=2, version=version))
+    """One of older weights is only late."""
+    generation, version = named
+    learner.asked = repeat(make_notice(generation=generation, version=version))
     assert _see(client, None) == (2, 15)
     ack = Ack(
-        verdict="refused", reason="", generation=2, epoch=0, weights_version=version, wait_s=0.0
-    )
+        verdict="refused", reason="", generation=generation, epoch=0, weights_version=version,
+        wait_s=0.0,
+    )  # fmt: skip
     client.hear(ack)
-    assert _see(client, None) == (2, version)
+    assert _see(client, None) == seen
 
 
 def test_what_is_forgotten_is_asked_for(
