@@ -95,8 +95,10 @@ class Ingest:
             self._changed.notify_all()
         return admission.welcome(member.slot, seed)
 
-    def segment(self, segment: Segment) -> Ack:
+    def segment(self, segment: Segment, payload: bytes) -> Ack:
         """Judge a segment; an accepted one is stored and written down before this returns.
+
+        ``payload`` is what it came as.
 
         Raises:
             RunDirectoryError: It cannot be stored.
@@ -113,7 +115,7 @@ class Ingest:
             is_useless = verdict == "refused" or not self._is_ours(segment)
             self._useless += is_useless
             if not is_useless or self._useless <= _MAX_USELESS:
-                self._write_down(segment, verdict, member)
+                self._write_down(segment, payload, verdict, member)
             if verdict == "refused":
                 self._metrics.refused.labels(message="segment", reason=cause).inc()
                 self._event("refusal", cause, actor=segment.actor, seq=segment.seq, reason=reason)
@@ -303,13 +305,15 @@ class Ingest:
             return "stale", "", "more waits than can be learned from in time"
         return "accepted", "", ""
 
-    def _write_down(self, segment: Segment, verdict: Verdict, member: Member | None) -> None:
+    def _write_down(
+        self, segment: Segment, payload: bytes, verdict: Verdict, member: Member | None
+    ) -> None:
         """Store and write down; if that fails nothing is answered, and the learner's loop ends."""
         if self._failure is not None:
             raise self._failure
         try:
             if verdict == "accepted" and member is not None:
-                self._journal.segment(member.slot, segment)
+                self._journal.segment(member.slot, payload)
                 self._store.store(member.slot, segment)
             self._ledger.record(segment.actor, segment.seq, verdict, segment.num_steps)
         except RunDirectoryError as error:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from a2s.learner.ingest.store import Quota
 from a2s.learner.run.writing import write_at, writing
-from a2s.protocol.codec import decode, encode
+from a2s.protocol.codec import decode
 from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.messages import Segment
 
@@ -77,13 +77,13 @@ class Journal:
             self._open(max(_numbers(folder), default=0))
         self.place = Place(self._number, self._size, accepted_steps)
 
-    def segment(self, slot: int, segment: Segment) -> None:
-        """Write an accepted segment down.
+    def segment(self, slot: int, payload: bytes) -> None:
+        """Write an accepted segment down, as it came over the network.
 
         Raises:
             RunDirectoryError: There is no room for it; so do the others.
         """
-        self._append(_SEGMENT, _SLOT.pack(slot) + encode(segment))
+        self._append(_SEGMENT, _SLOT.pack(slot) + payload)
 
     def begin(self, begun: Begun) -> None:
         """Weights are out."""

@@ -137,7 +137,7 @@ class Server(Feed):
             _require_own(segment.actor, name)
         except MalformedMessageError as error:
             return encode(self._ingest.refuse_segment(_cause(error), str(error)))
-        return encode(self._ingest.segment(segment))
+        return encode(self._ingest.segment(segment, payload))
 
     def _on_actor_status(self, name: str, payload: bytes) -> None:
         try:

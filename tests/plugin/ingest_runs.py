@@ -15,9 +15,10 @@ from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Quota
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
+from a2s.protocol.codec import encode
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.fields import Spaces
-from a2s.protocol.messages import Hello, Segment, Welcome
+from a2s.protocol.messages import Ack, Hello, Segment, Welcome
 
 SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 QUOTA = Quota(8, 4, 0)
@@ -84,6 +85,10 @@ class IngestRun:
         welcome = self.ingest.hello(hello)
         assert isinstance(welcome, Welcome)
         return welcome
+
+    def send(self, segment: Segment) -> Ack:
+        """What a segment is answered."""
+        return self.ingest.segment(segment, encode(segment))
 
     def complete(self) -> bool:
         """Whether a batch is there."""

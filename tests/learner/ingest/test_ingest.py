@@ -61,7 +61,7 @@ def test_every_segment_is_judged_with_a_reason(
     run: IngestRun, fields: dict[str, Any], verdict: str, reason: str
 ) -> None:
     run.join("a")
-    ack = run.ingest.segment(_segment(**fields))
+    ack = run.send(_segment(**fields))
     assert (ack.verdict, ack.reason, ack.generation) == (verdict, reason, 2)
     assert run.complete() is (fields == {})
 
@@ -80,7 +80,7 @@ def test_another_learner_with_the_same_name_and_number_of_starts_gets_nothing(
     first, other = (run.join("a") for run in runs)
     assert first.generation != other.generation
     assert first.seed == other.seed
-    ack = runs[1].ingest.segment(_segment(generation=first.generation))
+    ack = runs[1].send(_segment(generation=first.generation))
     assert (ack.verdict, ack.reason) == ("stale", "generation 1 of another run")
     assert runs[1].kept == []
 
@@ -99,7 +99,7 @@ def test_an_actor_gets_the_place_it_asks_for_so_that_the_order_of_joining_does_n
 
 def test_a_segment_is_counted_once_however_often_it_is_sent(run: IngestRun) -> None:
     run.join("a")
-    verdicts = [run.ingest.segment(_segment()).verdict for _ in range(3)]
+    verdicts = [run.send(_segment()).verdict for _ in range(3)]
     assert verdicts == ["accepted", "duplicate", "duplicate"]
     assert run.ledger.accepted_steps == 4
     assert len(run.batch()) == 1
@@ -109,22 +109,22 @@ def test_of_an_actor_that_sends_several_at_a_time_none_overtakes_another(run: In
     """What did so is not looked at, until a hello says that it is next."""
     welcome = run.join("a", next_seq=0)
     assert welcome.window == 16
-    verdicts = [run.ingest.segment(_segment(seq=seq)).verdict for seq in (0, 2, 3, 1, 0, 2)]
+    verdicts = [run.send(_segment(seq=seq)).verdict for seq in (0, 2, 3, 1, 0, 2)]
     assert verdicts == ["accepted", "unknown", "unknown", "accepted", "duplicate", "accepted"]
-    early = run.ingest.segment(_segment(seq=5))
+    early = run.send(_segment(seq=5))
     assert (early.verdict, early.reason) == ("unknown", "seq 5 has overtaken 3")
     assert [stored.seq for stored in run.kept] == [0, 1, 2]
     assert run.ledger.accounts().lost == 0
     run.join("a", next_seq=5)
-    assert run.ingest.segment(_segment(seq=5)).verdict == "accepted"
+    assert run.send(_segment(seq=5)).verdict == "accepted"
     run.join("a")  # one at a time: as it likes
-    assert run.ingest.segment(_segment(seq=8)).verdict == "accepted"
+    assert run.send(_segment(seq=8)).verdict == "accepted"
 
 
 def test_whatever_is_the_answer_the_next_one_is_next(run: IngestRun) -> None:
     run.join("a", next_seq=7)
     sent = [_segment(seq=7, generation=1), _segment(seq=8, weights_version=6), _segment(seq=9)]
-    assert [run.ingest.segment(each).verdict for each in sent] == ["stale", "refused", "accepted"]
+    assert [run.send(each).verdict for each in sent] == ["stale", "refused", "accepted"]
 
 
 def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
@@ -133,11 +133,11 @@ def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
     """An actor that got no answer keeps its segment."""
     run.join("a")
     for sent in (_segment(), _segment(), _segment(seq=1, epoch=1)):
-        run.ingest.segment(sent)
+        run.send(sent)
     assert [stored.seq for stored in run.kept] == [0]
     run.disk_is_full = True
     with pytest.raises(RunDirectoryError, match="no space left"):
-        run.ingest.segment(_segment(seq=2))
+        run.send(_segment(seq=2))
     assert run.ledger.accounts().accepted == 1
     with pytest.raises(RunDirectoryError, match="no space left"):
         run.ingest.next_batch(lambda _: True)
@@ -147,12 +147,12 @@ def test_what_cannot_be_written_down_is_not_stored_again(run: IngestRun, no_room
     """However often it is sent; and nothing else is, once one has failed."""
     run.join("a")
     for seq in range(6):
-        run.ingest.segment(_segment(seq=seq))
+        run.send(_segment(seq=seq))
     with no_room(), pytest.raises(RunDirectoryError, match="journal: File too large"):
-        run.ingest.segment(_segment(seq=6))
+        run.send(_segment(seq=6))
     for seq in (6, 7):
         with pytest.raises(RunDirectoryError, match="journal: File too large"):
-            run.ingest.segment(_segment(seq=seq))
+            run.send(_segment(seq=seq))
     assert [stored.seq for stored in run.kept] == list(range(6))
     assert run.ledger.accounts().accepted == 6
 
@@ -163,11 +163,11 @@ def test_off_policy_no_segment_is_too_old_and_actors_are_held_back_while_learnin
     run = IngestRun(tmp_path, max_policy_lag=None, clock="async")
     run.ingest.begin(make_notice(generation=2, version=500, quota_steps=4), QUOTA, 2)
     run.join("a")
-    first = run.ingest.segment(_segment(seq=0, weights_version=1))
+    first = run.send(_segment(seq=0, weights_version=1))
     assert (first.verdict, first.wait_s) == ("accepted", 0.0)
     run.is_far_behind = True
-    assert run.ingest.segment(_segment(seq=1)).wait_s == 1.5
-    stale = run.ingest.segment(_segment(seq=2, generation=1))
+    assert run.send(_segment(seq=1)).wait_s == 1.5
+    stale = run.send(_segment(seq=2, generation=1))
     assert (stale.verdict, stale.wait_s) == ("stale", 0.0)  # what is left of before goes quickly
 
 
@@ -177,11 +177,11 @@ def test_a_batch_is_complete_when_every_environment_of_every_actor_has_its_quota
     """Its order is not that of arrival."""
     run.join("a", num_envs=2)
     run.join("b")
-    run.ingest.segment(_segment("b", 0, steps=3))
-    run.ingest.segment(_segment("a", 1, env=1))
-    run.ingest.segment(_segment("a", 0, env=0))
+    run.send(_segment("b", 0, steps=3))
+    run.send(_segment("a", 1, env=1))
+    run.send(_segment("a", 0, env=0))
     assert not run.complete()
-    run.ingest.segment(_segment("b", 1, steps=1))
+    run.send(_segment("b", 1, steps=1))
     assert [arrival[:3] for arrival in run.batch()] == [
         (0, 0, 0), (0, 1, 1), (1, 0, 0), (1, 0, 1),
     ]  # fmt: skip
@@ -192,10 +192,10 @@ def test_whole_episodes_are_waited_for(tmp_path: Path, make_notice: MakeNotice) 
     notice = make_notice(generation=2, version=5, quota_steps=4, quota_episodes=2)
     run.ingest.begin(notice, QUOTA, 2)
     run.join("a")
-    run.ingest.segment(_segment(seq=0, terminated=True))
-    run.ingest.segment(_segment(seq=1))
+    run.send(_segment(seq=0, terminated=True))
+    run.send(_segment(seq=1))
     assert not run.complete()
-    run.ingest.segment(_segment(seq=2, truncated=True))
+    run.send(_segment(seq=2, truncated=True))
     assert len(run.batch()) == 3
 
 
@@ -208,7 +208,7 @@ def test_a_quota_of_long_episodes_is_taken_however_much_it_is(
         make_notice(generation=2, version=5, quota_steps=8, quota_episodes=5), Quota(8, 8, 5), 2
     )
     run.join("a")
-    acks = [run.ingest.segment(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
+    acks = [run.send(_segment(seq=i, steps=8, terminated=True)) for i in range(5)]
     assert [ack.verdict for ack in acks] == ["accepted"] * 5
     assert len(run.batch()) == 5
 
@@ -218,12 +218,12 @@ def test_a_segment_is_no_longer_than_the_largest_quota(
 ) -> None:
     """An actor may still be playing an earlier one."""
     run.join("a")
-    found = [run.ingest.segment(_segment(seq=steps, steps=steps)) for steps in (4, 5)]
+    found = [run.send(_segment(seq=steps, steps=steps)) for steps in (4, 5)]
     assert [ack.verdict for ack in found] == ["accepted", "refused"]
     assert found[1].reason == "found 5 steps, expected at most 4: that was the largest quota"
     smaller = make_notice(generation=2, version=6, quota_steps=2)
     run.ingest.begin(smaller, Quota(8, 2, 0), 4)
-    assert run.ingest.segment(_segment(seq=6, steps=4)).verdict == "accepted"
+    assert run.send(_segment(seq=6, steps=4)).verdict == "accepted"
 
 
 @pytest.mark.parametrize(("limit", "longest"), [(0, 10_000), (1000, 10_000), (12_000, 12_000)])
@@ -235,13 +235,13 @@ def test_where_whole_episodes_are_played_a_segment_is_no_longer_than_one(
     run.ingest.begin(whole, Quota(8, 8, 5), 2)
     run.join("a")
     sent = [_segment(seq=steps, steps=steps) for steps in (longest, longest + 1)]
-    assert [run.ingest.segment(each).verdict for each in sent] == ["accepted", "refused"]
+    assert [run.send(each).verdict for each in sent] == ["accepted", "refused"]
 
 
 def test_an_actor_that_leaves_is_no_longer_waited_for(run: IngestRun) -> None:
     run.join("a")
     run.join("b")
-    run.ingest.segment(_segment("a"))
+    run.send(_segment("a"))
     assert not run.complete()
     run.ingest.gone("b")
     assert run.complete()
@@ -287,7 +287,7 @@ def test_members_that_are_silent_have_no_share_of_the_quota(run: IngestRun) -> N
     assert run.ingest.num_envs == 1
     members[0].heard_s -= 31.0
     assert run.ingest.num_envs == 301
-    run.ingest.segment(_segment("d"))
+    run.send(_segment("d"))
     assert run.ingest.num_envs == 100
 
 
@@ -323,34 +323,34 @@ def test_a_member_of_whom_nothing_comes_is_one_no_more_until_it_sends(
     run.join("b")
     now_s = time.monotonic() + 301.0
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
-    run.ingest.segment(_segment("a"))
+    run.send(_segment("a"))
     assert [arrival.slot for arrival in run.batch()] == [0]
     assert ("leave", {"actor": "b", "slot": 1, "reason": "stalled"}) in run.events
     assert "actor b: nothing came of it for 301 s; going on without it until it sends" in (
         caplog.text
     )
     late = _segment("b")
-    assert run.ingest.segment(late).verdict == "unknown"
+    assert run.send(late).verdict == "unknown"
     run.join("b")
-    assert run.ingest.segment(late).verdict == "accepted"
+    assert run.send(late).verdict == "accepted"
 
 
 def test_an_actor_that_was_cut_off_goes_on_where_it_was(run: IngestRun) -> None:
     """Its segment is not answered while it is away, so it is sent again and not lost."""
     run.join("a", num_envs=2)
-    run.ingest.segment(_segment("a", 0, env=0))
+    run.send(_segment("a", 0, env=0))
     run.ingest.gone("a")
     late = _segment("a", 1, env=1)
-    assert run.ingest.segment(late).verdict == "unknown"
+    assert run.send(late).verdict == "unknown"
     run.join("a", num_envs=2)
-    assert run.ingest.segment(late).verdict == "accepted"
+    assert run.send(late).verdict == "accepted"
     assert len(run.batch()) == 2
 
 
 def test_a_number_out_of_all_order_is_refused_at_once(run: IngestRun) -> None:
     run.join("a")
-    run.ingest.segment(_segment(seq=0))
-    ack = run.ingest.segment(_segment(seq=2**62))
+    run.send(_segment(seq=0))
+    ack = run.send(_segment(seq=2**62))
     assert (ack.verdict, ack.reason) == ("refused", f"seq {2**62} is far from the others")
     assert run.ledger.accounts().sent == 1
 
@@ -363,9 +363,9 @@ def test_refused_segments_fill_no_disk(
     run.join("a")
     sent = [_segment(seq=i, env=7) for i in range(20)]
     sent += [_segment(seq=i, generation=1) for i in range(20, 40)]
-    verdicts = [run.ingest.segment(each).verdict for each in sent]
+    verdicts = [run.send(each).verdict for each in sent]
     assert verdicts == ["refused"] * 20 + ["stale"] * 20
-    assert run.ingest.segment(_segment(seq=40)).verdict == "accepted"
+    assert run.send(_segment(seq=40)).verdict == "accepted"
     assert (tmp_path / "segments.log").read_text().count("\n") == 5 + 1
     assert sum(kind == "refusal" for kind, _ in run.events) == 10
 
@@ -375,9 +375,9 @@ def test_what_is_left_of_an_earlier_learner_is_counted_once_its_sender_is_seen(
 ) -> None:
     """A name that nobody has would cost memory and disk."""
     late = _segment("a", generation=1)
-    assert run.ingest.segment(late).verdict == "unknown"
+    assert run.send(late).verdict == "unknown"
     run.ingest.here("a")
-    assert run.ingest.segment(late).verdict == "stale"
+    assert run.send(late).verdict == "stale"
 
 
 def test_joining_twice_keeps_the_place_and_the_seed(run: IngestRun) -> None:
@@ -412,11 +412,11 @@ def test_a_reason_is_short_whatever_was_sent(run: IngestRun) -> None:
 
 def test_a_recovery_forgets_what_waits(run: IngestRun, make_notice: MakeNotice) -> None:
     run.join("a")
-    run.ingest.segment(_segment(seq=0))
+    run.send(_segment(seq=0))
     run.ingest.begin(
         make_notice(generation=2, version=6, epoch=1, quota_steps=4), Quota(8, 4, 0), 2
     )
-    run.ingest.segment(_segment(seq=1, weights_version=6, epoch=1))
+    run.send(_segment(seq=1, weights_version=6, epoch=1))
     assert [arrival.seq for arrival in run.batch()] == [1]
 
 
@@ -427,7 +427,7 @@ def test_async_batches_are_counted_in_steps_and_hold_actors_back(
     run = IngestRun(tmp_path, clock="async")
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     run.join("a")
-    acks = [run.ingest.segment(_segment(seq=seq)) for seq in range(10)]
+    acks = [run.send(_segment(seq=seq)) for seq in range(10)]
     assert [ack.wait_s > 0 for ack in acks] == [False] + [True] * 9
     assert [ack.verdict for ack in acks] == ["accepted"] * 8 + ["stale"] * 2
     assert len(run.batch()) == 8
@@ -471,10 +471,10 @@ def test_the_first_batch_waits_for_all_actors_that_are_expected(
     run.ingest.begin(make_notice(generation=2, version=5, quota_steps=4), QUOTA, 2)
     assert run.ingest.num_envs == 4
     run.join("a")
-    run.ingest.segment(_segment("a"))
+    run.send(_segment("a"))
     assert not run.complete()
     run.join("b")
-    run.ingest.segment(_segment("b"))
+    run.send(_segment("b"))
     assert run.complete()
     run.ingest.gone("b")
     assert run.ingest.num_envs == 1

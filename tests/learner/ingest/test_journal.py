@@ -14,6 +14,7 @@ from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Ta
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
+from a2s.protocol.codec import encode
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.messages import Segment
 
@@ -46,7 +47,7 @@ class _Store:
 def _write(journal: Journal, ledger: Ledger, slot: int, seq: int, epoch: int = 0) -> None:
     """As the ingest does: the journal before the ledger."""
     made = segment(seq, 4, epoch=epoch)
-    journal.segment(slot, made)
+    journal.segment(slot, encode(made))
     ledger.record(made.actor, made.seq, "accepted", made.num_steps)
 
 
@@ -110,7 +111,7 @@ def test_segments_of_before_a_recovery_are_forgotten(tmp_path: Path, ledger: Led
 def test_a_segment_comes_back_as_it_was(tmp_path: Path) -> None:
     journal, made = Journal(tmp_path / "journal"), segment(7, 5, episode_return=0.1)
     start = journal.place
-    journal.segment(3, made)
+    journal.segment(3, encode(made))
     journal.begin(_begun(9, epoch=2))
     (stored, begun), _ = read(journal.folder, start)
     assert isinstance(stored, Stored)
@@ -127,7 +128,7 @@ def _records(folder: Path, place: Place) -> list[Record]:
 def test_of_a_torn_end_nothing_was_answered(tmp_path: Path) -> None:
     """Wherever it is torn; the next record takes its place."""
     journal = Journal(tmp_path / "journal")
-    journal.segment(0, segment(0))
+    journal.segment(0, encode(segment(0)))
     whole = (tmp_path / "journal" / "00000000").read_bytes()
     journal.take(4)
     longer = (tmp_path / "journal" / "00000000").read_bytes()
@@ -188,9 +189,9 @@ def test_files_go_with_the_checkpoints_that_need_them(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal")
     places = []
     for seq in range(6):
-        journal.segment(0, segment(seq))
+        journal.segment(0, encode(segment(seq)))
         journal.take(4 * (seq + 1))
-        journal.segment(0, segment(100 + seq))  # waits
+        journal.segment(0, encode(segment(100 + seq)))  # waits
         places.append(journal.place)
         journal.roll(places[-3:][0])
     for place in places[-3:]:
@@ -212,7 +213,7 @@ def test_threads_append_while_files_are_begun(tmp_path: Path) -> None:
 
     def write() -> None:
         for seq in range(300):
-            journal.segment(0, segment(seq))
+            journal.segment(0, encode(segment(seq)))
 
     writer = threading.Thread(target=write)
     writer.start()
@@ -227,11 +228,11 @@ def test_threads_append_while_files_are_begun(tmp_path: Path) -> None:
 def test_other_files_are_not_its_own(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal")
     (tmp_path / "journal" / "00000001.bak").touch()
-    journal.segment(0, segment(0))
+    journal.segment(0, encode(segment(0)))
     assert len(_records(tmp_path / "journal", Place())) == 1
 
 
 def test_where_there_is_no_room_it_says_so(tmp_path: Path, no_room: NoRoom) -> None:
     journal = Journal(tmp_path / "journal")
     with no_room(), pytest.raises(RunDirectoryError, match="journal: File too large; mend that"):
-        journal.segment(0, segment(0))
+        journal.segment(0, encode(segment(0)))

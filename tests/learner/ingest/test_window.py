@@ -34,7 +34,7 @@ def test_every_segment_is_taken_once_and_in_order(
             fate = rng.random()
         if fate < 0.05:
             return None
-        told = encode(run.ingest.segment(decode(payload, Segment)))
+        told = encode(run.send(decode(payload, Segment)))
         return None if fate < 0.1 else told
 
     def join_again() -> None:
