@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from replay_oracle import ENV_ID, SPACES, make_segment
 
-from a2s.commands.learner import source_of
+from a2s.commands.learn_from import source_of
 from a2s.learner.replay import directory
 from a2s.learner.run.config import off_policy
 from a2s.protocol.identity import Security

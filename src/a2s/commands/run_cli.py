@@ -58,7 +58,8 @@ def learner(
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
-    from a2s.commands.learner import Place, learn, learn_from
+    from a2s.commands.learn_from import learn_from
+    from a2s.commands.learner import Place, learn
 
     place = Place(
         path=path,
