@@ -8,7 +8,7 @@ from a2s.learner.ingest.store import Quota
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.fields import Spaces
 from a2s.protocol.generations import start_of
-from a2s.protocol.messages import ENDLESS_STEPS, Hello, Notice, Segment, Welcome
+from a2s.protocol.messages import ENDLESS_STEPS, Hello, Notice, Segment, Verdict, Welcome
 
 _WINDOW = 16
 
@@ -59,7 +59,40 @@ class Admission:
         difference = self.spaces.differs_from(hello.spaces)
         return f"environment {hello.env_id}: found {difference}" if difference else ""
 
-    def misfit(self, segment: Segment, num_envs: int) -> str:
+    def is_ours(self, segment: Segment) -> bool:
+        """Whether a segment was made with weights of this learner."""
+        return segment.generation == self.generation
+
+    def judge(
+        self,
+        segment: Segment,
+        num_envs: int | None,
+        newest: Notice | None,
+        longest: int,
+        *,
+        is_flooded: bool,
+    ) -> tuple[Verdict, str, str]:
+        """Judge a segment that was not answered yet: verdict, kind of defect, reason.
+
+        Its actor has ``num_envs`` environments; ``None``: it is no member. ``newest`` is of the
+        newest weights, ``longest`` in steps; ``is_flooded``: more waits than can be learned from.
+        """
+        if not self.is_ours(segment) or num_envs is None:
+            return "stale", "", self._other_generation(segment)
+        if misfit := self._misfit(segment, num_envs):
+            return "refused", "spaces", misfit
+        if newest is None or not 1 <= segment.weights_version <= newest.version:
+            return "refused", "future", f"version {segment.weights_version} is not published"
+        if segment.num_steps > longest:
+            found = f"found {segment.num_steps} steps, expected at most {longest}"
+            return "refused", "length", f"{found}: that was the largest quota"
+        if too_old := self._too_old(segment, newest):
+            return "stale", "", too_old
+        if self.max_policy_lag is not None and is_flooded:
+            return "stale", "", "more waits than can be learned from in time"
+        return "accepted", "", ""
+
+    def _misfit(self, segment: Segment, num_envs: int) -> str:
         """Why a segment cannot be of an actor with ``num_envs`` environments, or ``""``."""
         found = (segment.obs.shape[1], segment.suggestion.shape[1])
         expected = (self.spaces.obs_size, self.spaces.action_size)
@@ -77,7 +110,7 @@ class Admission:
         whole = max(self.episode_limit, ENDLESS_STEPS) if quota.episodes else 0
         return max(quota.steps, whole)
 
-    def too_old(self, segment: Segment, newest: Notice) -> str:
+    def _too_old(self, segment: Segment, newest: Notice) -> str:
         """Why a segment of this generation is stale, or ``""``."""
         if segment.epoch != newest.epoch:
             return f"epoch {segment.epoch}, this is {newest.epoch}"
@@ -86,7 +119,7 @@ class Admission:
             return f"{lag} versions behind, at most {allowed}"
         return ""
 
-    def other_generation(self, segment: Segment) -> str:
+    def _other_generation(self, segment: Segment) -> str:
         """Whose a segment is that was made for another learner, or for an earlier start."""
         found, mine = start_of(segment.generation), start_of(self.generation)
         return f"generation {found}{f', this is {mine}' if found != mine else ' of another run'}"

@@ -111,8 +111,14 @@ class Ingest:
                 return self._ack(*known, segment)
             if self._ledger.leaps(segment.actor, segment.seq):
                 return self.refuse_segment("future", f"seq {segment.seq} is far from the others")
-            verdict, cause, reason = self._judge(segment, member)
-            is_useless = verdict == "refused" or not self._is_ours(segment)
+            verdict, cause, reason = self._admission.judge(
+                segment,
+                None if member is None else member.num_envs,
+                None if self._round is None else self._round.notice,
+                self._longest,
+                is_flooded=self._round is not None and self._clock.is_flooded(self._round),
+            )
+            is_useless = verdict == "refused" or not self._admission.is_ours(segment)
             self._useless += is_useless
             if not is_useless or self._useless <= _MAX_USELESS:
                 self._write_down(segment, payload, verdict, member)
@@ -267,15 +273,12 @@ class Ingest:
             if self._event("restart", actor=hello.actor, slot=slot, reason=reason):
                 logger.warning("actor %s was replaced: %s", hello.actor, reason)
 
-    def _is_ours(self, segment: Segment) -> bool:
-        return segment.generation == self._admission.generation
-
     def _not_judged(self, segment: Segment, member: Member | None) -> tuple[Verdict, str] | None:
         """The answer to a segment that was answered before, or has no right to be, or not yet."""
         actor, seq, cause, reason = segment.actor, segment.seq, "", ""
         is_known = self._ledger.has(actor, seq)
         if member is None:
-            if self._is_ours(segment) or not self._members.has_token(actor):
+            if self._admission.is_ours(segment) or not self._members.has_token(actor):
                 cause, reason = "unknown_actor", f"actor {actor} has not joined"
         elif member.is_early(seq) and not is_known:
             cause, reason = "early", f"seq {seq} has overtaken {member.next_seq}"
@@ -287,23 +290,6 @@ class Ingest:
             return None
         self._metrics.refused.labels(message="segment", reason=cause).inc()
         return "unknown", reason
-
-    def _judge(self, segment: Segment, member: Member | None) -> tuple[Verdict, str, str]:
-        admission, played = self._admission, self._round
-        if not self._is_ours(segment) or member is None:
-            return "stale", "", admission.other_generation(segment)
-        if misfit := admission.misfit(segment, member.num_envs):
-            return "refused", "spaces", misfit
-        if played is None or not 1 <= segment.weights_version <= played.notice.version:
-            return "refused", "future", f"version {segment.weights_version} is not published"
-        if segment.num_steps > self._longest:
-            found = f"found {segment.num_steps} steps, expected at most {self._longest}"
-            return "refused", "length", f"{found}: that was the largest quota"
-        if too_old := admission.too_old(segment, played.notice):
-            return "stale", "", too_old
-        if admission.max_policy_lag is not None and self._clock.is_flooded(played):
-            return "stale", "", "more waits than can be learned from in time"
-        return "accepted", "", ""
 
     def _write_down(
         self, segment: Segment, payload: bytes, verdict: Verdict, member: Member | None
@@ -343,7 +329,7 @@ class Ingest:
         generation, played = self._admission.generation, self._round
         wait_s = 0.0
         # Remains of an earlier generation must go before its actor can join this one.
-        is_ours = segment is not None and self._is_ours(segment)
+        is_ours = segment is not None and self._admission.is_ours(segment)
         if is_ours and not self._clock.waits_for_weights:
             wait_s = self._store.hold_s(played.num_batches if played else 0.0)
         return Ack(
