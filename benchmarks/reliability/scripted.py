@@ -4,7 +4,6 @@ The process is forked from one that has imported everything already, so a start 
 the learner has answered is noted outside the run, so that a start goes on where the last one died.
 """
 
-import io
 import logging
 import os
 import shutil
@@ -17,13 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from learners import learner_of
 from reliability.run_files import Learned, learned
-from scripted_actors import ENVS, SPACES, WAYS, ScriptedActor
+from scripted_actors import ENVS, WAYS, ScriptedActor
 
-from a2s.learner.make import make_learner
 from a2s.learner.run.config import assemble
-from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.run.progress import PlainView
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import A2SError
 from a2s.protocol.in_process import Exchange, InProcessBus
@@ -130,18 +127,8 @@ class ScriptedRun:
             LastingActor(slot, self.notes / f"actor-{slot}").connect(exchange)
         options = {"env": "Test-v0", "n": ACTORS, "envs": ENVS, **self._options}
         configuration = assemble(options, self._settings)
-        learner = make_learner(
-            configuration=configuration,
-            spaces=SPACES,
-            layout=(),
-            episode_limit=None,
-            bus=InProcessBus(exchange),
-            path=self.path,
-            metrics=LearnerMetrics(),
-            view=PlainView(io.StringIO()),
-            resume=resume,
-            mark=0,
-        )
+        bus = InProcessBus(exchange)
+        learner = learner_of(options, self._settings, bus, self.path, resume=resume)
         place = _place(self.path)
         place.write_config(configuration)
         summary = learner.run(lambda: time.monotonic() > deadline_s)

@@ -1,16 +1,12 @@
 """What a learner goes on with: its files as it left them, or it changes none."""
 
-import io
 from pathlib import Path
 
 import pytest
+from learners import learner_of
 
 from a2s.actors.environments.environment import Environment
 from a2s.learner.learner import Learner
-from a2s.learner.make import make_learner
-from a2s.learner.run.config import assemble
-from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.run.progress import PlainView
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.in_process import Exchange, InProcessBus
@@ -20,18 +16,9 @@ ROW = "1000.000,8,0,1,2.5,8,0\r\n"
 
 
 def _learner(path: Path, *, resume: bool) -> Learner:
-    return make_learner(
-        configuration=assemble({"env": ENV}, {}),
-        spaces=Environment(EnvConfig(env_id=ENV)).spaces,
-        layout=(),
-        episode_limit=None,
-        bus=InProcessBus(Exchange()),
-        path=path,
-        metrics=LearnerMetrics(),
-        view=PlainView(io.StringIO()),
-        resume=resume,
-        mark=0,
-    )
+    spaces = Environment(EnvConfig(env_id=ENV)).spaces
+    bus = InProcessBus(Exchange())
+    return learner_of({"env": ENV}, {}, bus, path, spaces=spaces, resume=resume)
 
 
 def _files(path: Path) -> dict[Path, bytes]:

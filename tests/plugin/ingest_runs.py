@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from learners import SPACES
 
 from a2s.learner.feed import Arrival
 from a2s.learner.ingest.admission import Admission
@@ -17,10 +17,8 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.codec import encode
 from a2s.protocol.errors import RunDirectoryError
-from a2s.protocol.fields import Spaces
 from a2s.protocol.messages import Ack, Hello, Segment, Welcome
 
-SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 QUOTA = Quota(8, 4, 0)
 
 

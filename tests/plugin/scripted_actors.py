@@ -12,20 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from learners import SPACES, learner_of
 
 from a2s.learner.ingest.members import Member
-from a2s.learner.make import make_learner
-from a2s.learner.run.config import assemble
-from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.progress import PlainView
 from a2s.learner.run.status import Status
 from a2s.protocol.codec import decode, encode
-from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Ack, Hello, Notice, RunStatus, Segment, Welcome
 
-SPACES = Spaces(obs_size=2, action_low=-np.ones(1, np.float32), action_high=np.ones(1, np.float32))
 ENVS, PIECES = 2, 2
 
 SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,)}
@@ -186,16 +182,8 @@ class Script:
         for actor in self._actors:
             actor.connect(exchange)
         options = {"env": "Test-v0", "n": len(self._actors), "envs": ENVS, **self._options}
-        learner = make_learner(
-            configuration=assemble(options, self._settings),
-            spaces=SPACES,
-            layout=(),
-            episode_limit=None,
-            bus=InProcessBus(exchange),
-            path=self._path,
-            metrics=LearnerMetrics(),
-            view=_Asking(exchange, self.told),
-            resume=resume,
-            mark=next(self._marks),
-        )
+        learner = learner_of(
+            options, self._settings, InProcessBus(exchange), self._path,
+            view=_Asking(exchange, self.told), resume=resume, mark=next(self._marks),
+        )  # fmt: skip
         return learner.run(lambda: False)

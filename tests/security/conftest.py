@@ -1,6 +1,5 @@
 """Real certificates, and a real learner that lets only known peers in."""
 
-import io
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -8,14 +7,10 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
-from scripted_actors import SPACES
+from learners import learner_of
 from secured import Site, free_port
 
 from a2s.commands.certs import make
-from a2s.learner.make import make_learner
-from a2s.learner.run.config import assemble
-from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.run.progress import PlainView
 from a2s.protocol.access import role_of
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
@@ -62,18 +57,7 @@ def site(
         bus.answer(keys.replay_info, lambda _: b"of the replay")
         options = {"env": "Test-v0", "n": 2, "envs": 1, "run": "secured", "total_steps": 64}
         settings = {"batch_steps": 32, "first_batch_steps": 32, "critic_epochs": 1}
-        learner = make_learner(
-            configuration=assemble(options, settings),
-            spaces=SPACES,
-            layout=(),
-            episode_limit=None,
-            bus=bus,
-            path=path,
-            metrics=LearnerMetrics(),
-            view=PlainView(io.StringIO()),
-            resume=False,
-            mark=0,
-        )
+        learner = learner_of(options, settings, bus, path)
         pool = stack.enter_context(ThreadPoolExecutor(1))
         stack.callback(stop.set)
         pool.submit(learner.run, stop.is_set)

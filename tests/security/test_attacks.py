@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from scripted_actors import SPACES
+from learners import SPACES
 from secured import Site
 
 from a2s.protocol import zenoh_bus

@@ -1,6 +1,5 @@
 """A run whose peers all have certificates learns as any other."""
 
-import io
 import threading
 import time
 from collections.abc import Callable
@@ -12,13 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted_actors import SPACES
+from learners import SPACES, learner_of
 from secured import free_port
 
-from a2s.learner.make import make_learner
-from a2s.learner.run.config import assemble
-from a2s.learner.run.metrics import LearnerMetrics
-from a2s.learner.run.progress import PlainView
 from a2s.protocol.certificates import Authority
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import UsageError
@@ -43,18 +38,7 @@ def test_a_learner_learns_from_an_actor_with_a_certificate(certs: Path, tmp_path
         closing(ZenohBus.listen(endpoint, own.listener(keys, endpoint))) as bus,
         ThreadPoolExecutor(1) as thread,
     ):
-        learner = make_learner(
-            configuration=assemble(OPTIONS, SETTINGS),
-            spaces=SPACES,
-            layout=(),
-            episode_limit=None,
-            bus=bus,
-            path=tmp_path,
-            metrics=LearnerMetrics(),
-            view=PlainView(io.StringIO()),
-            resume=False,
-            mark=0,
-        )
+        learner = learner_of(OPTIONS, SETTINGS, bus, tmp_path)
         learning = thread.submit(learner.run, lambda: False)
         identity = Security(tls=str(certs / "actor-lab1")).peer("actor")
         with closing(ZenohBus.connect(endpoint, lambda: False, identity)) as actor:

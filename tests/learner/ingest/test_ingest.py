@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ingest_runs import QUOTA, SPACES, IngestRun
+from ingest_runs import QUOTA, IngestRun
+from learners import SPACES
 from segments import segment
 
 from a2s.learner.ingest import ingest

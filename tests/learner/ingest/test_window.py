@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_runs import QUOTA, SPACES, IngestRun
+from ingest_runs import QUOTA, IngestRun
+from learners import SPACES
 from segments import segment
 
 from a2s.actors.metrics import ActorMetrics
