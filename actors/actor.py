@@ -124,6 +124,8 @@ class Actor:
                 require_alike(environments)
                 self._play_in(environments, told.env_id)
             except A2SError as error:
+                if self._rollout is None:  # else its replacement says why
+                    self._troubles.latest = str(error)
                 self._on_failure(error)
                 raise
 

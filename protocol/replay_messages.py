@@ -84,12 +84,12 @@ class ReplaySample:
         arrays: dict[str, Array] = {
             name: array for name in COLUMNS[:-1] if (array := getattr(self, name)) is not None
         }
+        for name, array in arrays.items():
+            rank = 2 if name in ("obs", "action", "next_obs") else 1
+            require(array.ndim == rank, f"replay sample: {name}", array.shape, f"rank {rank}")
         lengths = {name: len(array) for name, array in arrays.items()}
         if self.row:
             lengths["row"] = len(self.row)
         agree = len(set(lengths.values())) == 1
         require(agree, "replay sample: columns disagree about B", lengths, "one length")
-        for name, array in arrays.items():
-            rank = 2 if name in ("obs", "action", "next_obs") else 1
-            require(array.ndim == rank, f"replay sample: {name}", array.shape, f"rank {rank}")
         require_finite("replay sample", **arrays)

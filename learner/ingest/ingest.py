@@ -151,7 +151,11 @@ class Ingest:
             status = replace(status, doing=one_line(status.doing), trouble=one_line(status.trouble))
             member = self._members.find(status.actor)
             if member is None:
-                self._members.hear_newcomer(status, now_s)
+                gives_up = self._members.hear_newcomer(status, now_s) and bool(status.trouble)
+                if gives_up and self._event(
+                    "trouble", actor=status.actor, slot=-1, what=status.trouble
+                ):
+                    logger.warning("actor %s cannot join: %s", status.actor, status.trouble)
                 return
             if member.is_news(status) and self._event(
                 "trouble", actor=status.actor, slot=member.slot, what=status.trouble

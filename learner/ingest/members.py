@@ -238,12 +238,16 @@ class Members:
         self._dropped[member.actor] = status.dropped_steps
         self._dropped_before += sum(_forget_oldest(self._dropped))
 
-    def hear_newcomer(self, status: ActorStatus, now_s: float) -> None:
-        """Remember the status of an actor that is not a member, unless it was one recently."""
+    def hear_newcomer(self, status: ActorStatus, now_s: float) -> bool:
+        """Remember the status of an actor that is not a member, unless it was one recently.
+
+        Tells whether it was coming, and comes no more.
+        """
         if status.leaving:
-            self._newcomers.pop(status.actor, None)
-        elif status.actor not in self._away:
+            return self._newcomers.pop(status.actor, None) is not None
+        if status.actor not in self._away:
             self.coming(status.actor, now_s, status.doing)
+        return False
 
     @property
     def dropped_steps(self) -> int:

@@ -136,6 +136,9 @@ IMPOSSIBLE: list[tuple[Any, dict[str, Any], str]] = [
     (EXAMPLES[RunStatus][0], {"total_steps": 0}, "run status: total_steps: found 0, expected at"),
     (EXAMPLES[ReplayInfo][0], {"end": 1}, "replay: end: found 1, expected >= 2"),
     (EXAMPLES[ReplaySample][0], {"begin": 6}, "replay sample: end: found 5, expected >= 6"),
+    *((EXAMPLES[ReplaySample][0], {name: np.float32(1.0).reshape(())},
+       f"replay sample: {name}: found (), expected rank {rank}")
+      for name, rank in (("reward", 1), ("obs", 2))),
     *((EXAMPLES[ReplaySample][0], {"row": (row,)}, f"replay sample: row: found [{row}], expected 0")
       for row in (-1, 5)),
     *((NOTICE, {"quota_steps": value}, f"notice: quota_steps: found {value}, expected at least 1")

@@ -120,6 +120,8 @@ def test_wrong_peers_are_refused_counted_and_do_not_disturb(
     last = strict.text().splitlines()[-1]
     assert last.startswith(f"a2s: environment '{ENV}': the learner wants")
     assert last.endswith("--allow-env a2s_test_envs")
+    said = f"cannot join: {last.partition(': ')[2]}"
+    wait_for(lambda: said in learner.text(), "the learner says so, too")
     actor = start("actor", "--n", "2", "--connect", endpoint, "--metrics-port", "-1")
     assert learner.process.wait(PATIENCE_S) == 0, learner.text()
     summary = json.loads((path / "summary.json").read_text())
