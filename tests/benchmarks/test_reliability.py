@@ -21,8 +21,10 @@ def test_a_slope_has_an_interval() -> None:
     found = line([(i / 100, 50 + 2 * i / 100) for i in range(100)])
     assert found[0] == pytest.approx(2.0)
     assert found[1] == pytest.approx(0.0, abs=1e-6)
-    jumps = line([(i / 100, float(i % 2 * (i // 25))) for i in range(100)])
+    jumps = line([(i / 100, float(i // 5 % 2 * (i // 25))) for i in range(100)])
     assert jumps[1] > 0.1
+    momentary = line([(i / 100, 50.0 + 30.0 * (i % 7 == 0)) for i in range(100)])
+    assert momentary == (0.0, 0.0)
 
 
 def test_a_result_is_a_row_that_says_whether_it_was_full_and_what_failed() -> None:
