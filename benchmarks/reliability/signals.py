@@ -17,7 +17,6 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,7 +34,6 @@ KINDS = {
 }
 VARIANTS = ((*FAST,), (*OFF_POLICY, "--set", "warm_up_steps=100"))
 _WITHIN_S = 10.0
-_LINGER_S = 2.0  # of processes that are told by the end of the first
 
 
 class Training:
@@ -112,7 +110,7 @@ def once(kind: str, moment_s: float, second_s: float, options: tuple[str, ...], 
             return "hangs"
         took_s = time.monotonic() - begin_s
         words = train.log.read_text(errors="replace")
-        wrong = [_orphans(commands, lambda: bool(commands.left()))]
+        wrong = [_orphans(commands, max(0.0, _WITHIN_S - took_s))]
     if code not in (128 + number, -number):
         wrong.append(f"exit code {code}")
     if took_s > _WITHIN_S:
@@ -124,9 +122,10 @@ def once(kind: str, moment_s: float, second_s: float, options: tuple[str, ...], 
     return "; ".join(filter(None, wrong))
 
 
-def _orphans(commands: Commands, has_some: Callable[[], bool]) -> str:
+def _orphans(commands: Commands, patience_s: float) -> str:
+    """What has not ended in the same time: after a second signal nobody waits for the learner."""
     try:
-        wait_for(lambda: not has_some(), "the end of all", _LINGER_S)
+        wait_for(lambda: not commands.left(), "the end of all", patience_s)
     except TimeoutError:
         names = [" ".join(each.cmdline()[:6]) for each in commands.left()]
         return f"left: {', '.join(names)}" if names else ""

@@ -324,10 +324,10 @@ def bench(
 
 def main() -> None:
     """Run the command line; what is expected to go wrong is one line on standard error."""
-    end_on_signals()
     open_standard_streams()
     try:
-        app()
+        with end_on_signals():
+            app()
     except A2SError as error:
         sys.stderr.write(f"a2s: {error}\n")
         sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED)

@@ -1,9 +1,12 @@
 """Signals: the first one stops in order; a hurried second one ends at once, an echo does not."""
 
+import signal
 import subprocess
 import sys
 
 import pytest
+
+from a2s.commands.process import SIGNALS, end_on_signals
 
 SCRIPT = """
 import os, signal, sys
@@ -33,3 +36,34 @@ def test_a_second_signal_ends_at_once_unless_it_is_the_first_once_more(
         [sys.executable, "-c", SCRIPT, *numbers], capture_output=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout, done.stderr) == (code, said, b"")
+
+
+INTERRUPTED = """
+import os, sys
+from a2s.commands.process import SIGNALS, end_on_signals
+with end_on_signals():
+    try:
+        os.kill(os.getpid(), int(sys.argv[1]))
+    except SystemExit as error:
+        raise ImportError("initialization failed") from error
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [("2", 130), ("15", 143), ("1", 129)])
+def test_what_a_library_makes_of_a_signal_that_interrupts_its_import_is_not_shown(
+    number: str, code: int
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, number], capture_output=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
+
+
+def test_another_error_stays_what_it_is() -> None:
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        with pytest.raises(KeyError), end_on_signals():
+            raise KeyError
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

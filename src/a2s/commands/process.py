@@ -73,14 +73,26 @@ def stop_on_signals() -> Iterator[Stop]:
             signal.signal(number, handler)
 
 
-def end_on_signals() -> None:
-    """Have signals end this process with the exit code of a `Stop`, without a word."""
+@contextlib.contextmanager
+def end_on_signals() -> Iterator[None]:
+    """Have signals end this process with the exit code of a `Stop`, without a word.
+
+    Whatever they interrupt may make another error of that: a library that is being imported does.
+    """
+    stop = Stop()
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
-        raise SystemExit(exit_code(number))
+        stop.number = number
+        raise SystemExit(stop.exit_code)
 
     for number in _signals():
         signal.signal(number, on_signal)
+    try:
+        yield
+    except BaseException:  # it is passed on, unless it comes of a signal
+        if stop.interrupted:
+            raise SystemExit(stop.exit_code) from None
+        raise
 
 
 def _signals() -> list[signal.Signals]:
