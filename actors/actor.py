@@ -156,7 +156,7 @@ class Actor:
                 welcome = self._join(replace(hello, cause=""))
                 continue
             if self._notice is None or notice.identity != self._notice.identity:
-                beside = welcome.clock == "async" and self._notice is not None
+                beside = welcome.clock == "async" and self._may_play_on()
                 with self._metrics.spending("waiting"):
                     suggester = self._pull(beside=beside) or suggester
                 if welcome.clock == "async" and self._notice is not None:
@@ -253,6 +253,10 @@ class Actor:
         self._metrics.weights_received.set(time.time())
         self._metrics.weights_received_bytes.inc(len(weights.graph))
         return Suggester(weights.graph)
+
+    def _may_play_on(self) -> bool:
+        """Whether there are weights to play by: after a recovery those from before are none."""
+        return self._notice is not None and not self._weights.overrules(self._notice)
 
     def _wait_for_weights(self) -> bool:
         self._patience.wait_for("new weights from the learner")
