@@ -1,9 +1,9 @@
 """An hour of 2 x 8 environments: ``python -m reliability.soak --minutes 60``.
 
 Every process's own memory is read once a second: ``RssAnon``, for the files of a replay are mapped,
-and are the kernel's to keep or to drop. Its slope is that of a line through the lowest values of
-twenty equal parts of the last three quarters, with the interval of 95 % that their residuals give:
-what an update needs for a moment comes and goes. All that was read is in ``memory.csv``.
+and are the kernel's to keep or to drop. Its slope is that of the lowest values of twenty
+equal parts of the last three quarters, with its interval of 95 %: what an update needs for a moment
+comes and goes. All that was read is in ``memory.csv``.
 """
 
 import argparse
@@ -62,22 +62,25 @@ def soak(variant: str, minutes: float, env: str, place: Path) -> Result:
         writer.writerow(("process", "hours", "mb"))
         writer.writerows((name, *each) for name, samples in memory.items() for each in samples)
     for name, samples in memory.items():
-        slope, half = line(samples[len(samples) // 4 :])
-        result.figures[name] = f"{samples[-1][1]:.0f} MB, {slope:+.2f} +- {half:.2f} MB/h"
-        grows = minutes >= _LEAST_MINUTES and slope + half > _MOST_PER_HOUR
+        slope, low, high = line(samples[len(samples) // 4 :])
+        found = f"{samples[-1][1]:.0f} MB, {slope:+.2f} [{low:+.2f}, {high:+.2f}] MB/h"
+        result.figures[name] = found
+        grows = minutes >= _LEAST_MINUTES and high > _MOST_PER_HOUR
         result.add(
             "may grow by more than 1 MB/h" if grows else "", of=f"{name}: {result.figures[name]}"
         )
     return result
 
 
-def line(samples: Sequence[Sample]) -> tuple[float, float]:
-    """Slope, and half of its interval of 95 %, through the lowest values of equal parts."""
+def line(samples: Sequence[Sample]) -> tuple[float, float, float]:
+    """Slope of the lowest values of equal parts, and its interval of 95 %: Theil and Sen's.
+
+    Few parts in which nothing was given back do not count for much.
+    """
     parts = np.array_split(np.asarray(samples), min(_PARTS, len(samples)))
     hours, size = np.array([part[part[:, 1].argmin()] for part in parts]).T
-    found = stats.linregress(hours, size)
-    error = 0.0 if np.ptp(size) == 0 else found.stderr  # which would be 0 / 0
-    return float(found.slope), float(error * stats.t.ppf(0.975, len(parts) - 2))
+    slope, _, low, high = stats.theilslopes(size, hours)
+    return float(slope), float(low), float(high)
 
 
 def _own_mb(pid: int) -> float:

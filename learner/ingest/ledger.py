@@ -19,6 +19,7 @@ from a2s.protocol.messages import Verdict
 
 _MAX_LEAP = 10_000  # of an actor
 _MAX_MISSING = 100_000  # of all
+_MAX_SKIPPED = 1_000_000  # by a line of the file: a journal may fill it without regard to leaps
 _CHUNK_BYTES = 1 << 20
 _RECORDED: tuple[Verdict, ...] = ("accepted", "stale", "refused")
 
@@ -190,8 +191,11 @@ class Ledger:
     def _replay(self, path: Path, line: str) -> None:
         try:
             actor, seq, verdict, steps = line.split(" ")
-            known = next(v for v in _RECORDED if v == verdict)
-            self._count(actor, int(seq), known, int(steps))
+            known, number = next(v for v in _RECORDED if v == verdict), int(seq)
+            sender = self._senders.get(actor)
+            if number < 0 or (sender is not None and sender.skips(number) > _MAX_SKIPPED):
+                raise ValueError
+            self._count(actor, number, known, int(steps))
         except (ValueError, StopIteration):
             raise RunDirectoryError(f"{path}: found {line!r:.60}, expected a ledger line") from None
 

@@ -19,12 +19,14 @@ def test_mutated_messages_are_decoded_or_refused_with_a_reason() -> None:
 
 def test_a_slope_has_an_interval() -> None:
     found = line([(i / 100, 50 + 2 * i / 100) for i in range(100)])
-    assert found[0] == pytest.approx(2.0)
-    assert found[1] == pytest.approx(0.0, abs=1e-6)
-    jumps = line([(i / 100, float(i // 5 % 2 * (i // 25))) for i in range(100)])
-    assert jumps[1] > 0.1
+    assert found == pytest.approx((2.0, 2.0, 2.0))
+    slope, low, high = line([(i / 100, i / 100 + i // 5 % 3) for i in range(100)])
+    assert low < 1.0 < high
+    assert low <= slope <= high
     momentary = line([(i / 100, 50.0 + 30.0 * (i % 7 == 0)) for i in range(100)])
-    assert momentary == (0.0, 0.0)
+    assert momentary == (0.0, 0.0, 0.0)
+    once = line([(i / 100, 50.0 + 30.0 * (60 <= i < 70)) for i in range(100)])
+    assert once == (0.0, 0.0, 0.0)
 
 
 def test_a_result_is_a_row_that_says_whether_it_was_full_and_what_failed() -> None:

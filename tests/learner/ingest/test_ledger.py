@@ -165,6 +165,15 @@ def test_a_file_of_another_kind_is_refused_and_left_alone(tmp_path: Path) -> Non
     assert path.read_text() == "wall_s,return\n1,2\n"
 
 
+@pytest.mark.parametrize("line", ["a -1 accepted 5", f"a {2**63 - 1} stale 5"])
+def test_a_line_with_a_number_that_cannot_be_is_refused(tmp_path: Path, line: str) -> None:
+    """The numbers that it skips are remembered, each of them."""
+    path = tmp_path / "segments.log"
+    path.write_text(f"a 3 accepted 5\n{line}\n")
+    with pytest.raises(RunDirectoryError, match=f"found '{line}', expected a ledger line"):
+        Ledger(path)
+
+
 def test_an_answer_for_which_there_is_no_room_leaves_no_trace(
     tmp_path: Path, no_room: NoRoom
 ) -> None:
