@@ -15,6 +15,7 @@ from system_helpers import Command, is_alive
 from a2s.commands.process import free_endpoint
 
 _MARK = "RELIABILITY_TRIAL"
+_CODE = "a2s_test_envs reliability.real_time"  # what actors of trials may run
 _STEP_S = 0.01
 
 
@@ -59,7 +60,7 @@ class Commands:
 
     def marked(self, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
         """An environment by which processes, and what they start, are found again."""
-        return {**environ, _MARK: self._mark}
+        return {"A2S_ALLOW_ENV": _CODE, **environ, _MARK: self._mark}
 
     def left(self) -> list[psutil.Process]:
         """What was started, by whomever, and is alive."""

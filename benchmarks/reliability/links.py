@@ -38,7 +38,6 @@ HOPPERS = {
     "off-policy": (*HOPPER, *VARIANTS["off-policy"], "--set", "utd_ratio=0.1"),
 }
 _ENDPOINT = f"tcp/{ADDRESSES[LEARNER]}:7447"
-_CODE = ("a2s_test_envs", "reliability.real_time")
 _WORKERS = 2
 _HEALED_S = 60.0
 _SILENT_S = 2.0  # not yet noticed
@@ -60,7 +59,6 @@ class Run:
         )  # fmt: skip
         self._actor = commands.start(
             "actor", "--n", str(_WORKERS), "--connect", _ENDPOINT, "--metrics-port", "-1",
-            *(word for code in _CODE for word in ("--allow-env", code)),
             within=link.inside(ACTOR),
         )  # fmt: skip
         wait_for(lambda: rows(path / "updates.csv") >= 3, "the first updates")
