@@ -28,7 +28,6 @@ class _Waiting(NamedTuple):
 class _Asked(NamedTuple):
     answer: Callable[[], bytes | None]
     begin_s: float
-    steps: int
 
 
 class Outbox:
@@ -104,7 +103,7 @@ class Outbox:
     def _fits(self, item: _Waiting) -> bool:
         if not self._waiting:
             return True
-        under_way = sum(asked.steps for asked in islice(self._asked, 1, None))
+        under_way = sum(each.steps for each in islice(self._waiting, 1, len(self._asked)))
         waiting = self.steps - under_way
         fits = waiting + item.steps <= self._capacity_steps and not self._held_back
         return fits and self._bytes + len(item.payload) <= _MAX_BYTES
@@ -153,7 +152,7 @@ class Outbox:
             answer = self._bus.begin_asking(self._key, item.payload, _ASK_TIMEOUT_S)
             with self._changed:
                 if begun == self._times_begun_again:
-                    self._asked.append(_Asked(answer, begin_s, item.steps))
+                    self._asked.append(_Asked(answer, begin_s))
                     self._changed.notify_all()
 
     def _may_ask(self) -> bool:

@@ -24,7 +24,7 @@ from a2s.learner.page.history import History
 from a2s.learner.page.server import Sampler, Server
 from a2s.learner.run.episode_stats import EpisodeStats
 from a2s.learner.run.status import Status
-from a2s.protocol.codec import SCHEMA_VERSION
+from a2s.protocol.keys import MAJOR
 from a2s.protocol.messages import Verdict
 
 _LAGS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 55, 100)
@@ -40,7 +40,7 @@ class LearnerMetrics:
         ProcessCollector(registry=self.registry)
         PlatformCollector(registry=self.registry)
         self.build = Info("a2s_build", "What runs here.", registry=self.registry)
-        self.build.info({"version": __version__, "protocol": str(SCHEMA_VERSION)})
+        self.build.info({"version": __version__, "protocol": str(MAJOR)})
         self.run = Info("a2s_run", "Which run this is.", registry=self.registry)
 
         self._add_ingest()
