@@ -37,6 +37,14 @@ class Site:
     path: Path
     peer: Callable[[str], ZenohBus]
 
+    def wait_for_weights(self) -> None:
+        """Wait until there are some; before, the answer is empty."""
+        for _ in range(3000):
+            if self.bus.ask(self.keys.weights, b"", 5.0):
+                return
+            threading.Event().wait(0.02)
+        raise AssertionError("the learner never published weights")
+
     def status(self, bus: ZenohBus) -> RunStatus:
         """Ask for it until it is answered; what was sent before on this link was heard."""
         for _ in range(200):

@@ -46,7 +46,7 @@ def security(
 def site(
     security: Callable[[str], Security], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Site]:
-    """A learner that waits for two actors, in a thread."""
+    """A learner that waits for two actors, in a thread; its first weights are out."""
     keys, path = Keys("secured"), tmp_path_factory.mktemp("secured") / "run"
     path.mkdir()
     own = security("learner")
@@ -66,4 +66,6 @@ def site(
             identity = security(name).peer(role_of(name))
             return stack.enter_context(closing(ZenohBus.connect(endpoint, lambda: False, identity)))
 
-        yield Site(endpoint, keys, bus, path, peer)
+        made = Site(endpoint, keys, bus, path, peer)
+        made.wait_for_weights()
+        yield made
