@@ -25,7 +25,7 @@ from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, RefusedError
 from a2s.protocol.generations import start_of
 from a2s.protocol.keys import Keys
-from a2s.protocol.messages import ActorStatus, Hello, Notice, Refusal, Segment, Welcome
+from a2s.protocol.messages import Ack, ActorStatus, Hello, Notice, Refusal, Segment, Welcome
 from a2s.protocol.transport import Bus
 
 logger = logging.getLogger(__name__)
@@ -67,8 +67,9 @@ class Actor:
         self._troubles = Troubles()
         self._weights = WeightsClient(bus, keys)
         self._joining: Hello | None = None
+        self._has_worked = False
         self._outbox = Outbox(
-            bus, segment_key, task.outbox_steps, self._weights.hear, self._join_again,
+            bus, segment_key, task.outbox_steps, self._hear, self._join_again,
             metrics,
         )  # fmt: skip
         self._welcome: Welcome | None = None
@@ -212,6 +213,13 @@ class Actor:
         """
         if self._joining is not None:
             self._ask(self._joining)
+
+    def _hear(self, ack: Ack) -> None:
+        """Hear of newer weights; tell of the first work at once: this process may die soon."""
+        self._weights.hear(ack)
+        if ack.verdict == "accepted" and not self._has_worked:
+            self._has_worked = True
+            self._parent.report({"accepted": 1.0})
 
     def _ask(self, hello: Hello) -> bytes | None:
         if hello.spaces is not None:

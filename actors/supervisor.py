@@ -130,6 +130,7 @@ class Supervisor:
         worker.silent_s = 0.0
         if "samples" in report:
             self._fleet.update(index, report["samples"])
+        if "accepted" in report:
             worker.accepted = report["accepted"]
             worker.has_worked |= worker.accepted > 0
         if "env_id" in report:

@@ -2,12 +2,15 @@
 
 import hashlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from a2s.actors import actor as actor_module
 from a2s.actors.activity import Activity
 from a2s.actors.actor import Actor
 from a2s.actors.metrics import ActorMetrics
@@ -103,13 +106,7 @@ def test_after_a_recovery_an_async_actor_waits_for_weights_and_is_not_busy_with_
     """Without weights to play by, it would look for them as often as the machine can."""
     exchange, stopped = Exchange(), _Looked()
     learner = _Learner(exchange, make_graph())
-    parent: Any = SimpleNamespace(
-        stopped=stopped, activity=Activity(), report=lambda _: None
-    )  # its process would be this one
-    actor = Actor(TASK, InProcessBus(exchange), ActorMetrics(), parent, lambda _: None)
-    thread = threading.Thread(target=actor.run)
-    thread.start()
-    try:
+    with _acting(exchange, learner, stopped, lambda _: None):
         wait_for(learner.is_asked.is_set, "a request for the weights of the recovery")
         wait_for(lambda: learner.reports > 0, "a report")
         looks = stopped.looks
@@ -117,8 +114,36 @@ def test_after_a_recovery_an_async_actor_waits_for_weights_and_is_not_busy_with_
         assert stopped.looks - looks < 1000
         learner.is_ready.set()
         wait_for(lambda: 1 in learner.epochs, "a segment by the new weights")
+    assert learner.epochs == sorted(learner.epochs)
+
+
+def test_the_first_accepted_segment_is_reported_at_once(
+    make_graph: Callable[..., bytes],
+    wait_for: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One that is killed within the second in which it would report has worked all the same."""
+    monkeypatch.setattr(actor_module, "_STATUS_EVERY_S", 1000.0)
+    exchange, reports = Exchange(), list[dict[str, Any]]()
+    with _acting(exchange, _Learner(exchange, make_graph()), threading.Event(), reports.append):
+        wait_for(lambda: {"accepted": 1.0} in reports, "a report of work")
+
+
+@contextmanager
+def _acting(
+    exchange: Exchange,
+    learner: _Learner,
+    stopped: threading.Event,
+    report: Callable[[dict[str, Any]], None],
+) -> Iterator[None]:
+    """An actor at work; its parent's process would be this one."""
+    parent: Any = SimpleNamespace(stopped=stopped, activity=Activity(), report=report)
+    actor = Actor(TASK, InProcessBus(exchange), ActorMetrics(), parent, lambda _: None)
+    thread = threading.Thread(target=actor.run)
+    thread.start()
+    try:
+        yield
     finally:
         learner.is_ready.set()
         stopped.set()
         thread.join()
-    assert learner.epochs == sorted(learner.epochs)
