@@ -120,6 +120,7 @@ class Actor:
                         index=index,
                         activity=self._parent.activity,
                         offset=told.spaces.obs_offset,
+                        fast=self._task.fast_envs,
                     )
                     environments.append(stack.enter_context(closing(environment)))
                 require_alike(environments)

@@ -16,6 +16,7 @@ class Task:
         outbox_steps: Steps that may wait for an answer.
         evaluates: It is an evaluator, and takes no part in the run.
         allow_env: Code that a learner may have it run, as `require_allowed` takes it.
+        fast_envs: Step Gymnasium's own environments faster, to the same results.
         cause: Why the process before it in this place was replaced; empty if there was no other.
         known_as: Name in the certificate, or of the user; the label begins with it.
         tls: Folder of certificates, as `a2s.protocol.identity.Security` takes it.
@@ -30,6 +31,7 @@ class Task:
     outbox_steps: int
     evaluates: bool = False
     allow_env: Sequence[str] = ()
+    fast_envs: bool = True
     cause: str = ""
     known_as: str = ""
     tls: str | None = None

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from a2s.actors.activity import CLOSE, MAKE, RENDER, RESET, STEP, Activity
+from a2s.actors.environments.fast_mujoco import fast_steps
 from a2s.actors.environments.faults import Faults, brief, wrong_reset
 from a2s.actors.environments.making import as_usage, limit_of, make
 from a2s.actors.environments.observations import Observations
@@ -26,7 +27,8 @@ class Environment:
 
     Observations and actions are copied, because it may reuse one buffer. Its values may come in
     any shape, dtype or kind of sequence that has the right count of numbers. ``activity`` notes
-    every call into it; ``offset``, float32 ``[D]``, is subtracted from observations.
+    every call into it; ``offset``, float32 ``[D]``, is subtracted from observations. ``fast``:
+    where it is one of Gymnasium's own, step it without making its ``info`` (docs/adr/0035).
 
     Attributes:
         name: Its id, for the user.
@@ -47,6 +49,7 @@ class Environment:
         index: int = 0,
         activity: Activity | None = None,
         offset: Array | None = None,
+        fast: bool = False,
     ) -> None:
         self.name = config.env_id
         self._faults = Faults(config.env_id)
@@ -73,7 +76,9 @@ class Environment:
         size = self.spaces.obs_size // config.frame_stack
         self._observations = Observations(self._faults, self._env, size, config.frame_stack, offset)
         self._obs = self._observations.read
-        self._step = self._env.step if self._repeats == 1 else self._repeated
+        self._fast = fast_steps(self._env) if fast and not config.info_metrics else None
+        self._step_once = self._env.step if self._fast is None else self._fast.step
+        self._step = self._step_once if self._repeats == 1 else self._repeated
         if not takes_seed and index == 0:
             logger.warning(
                 "environment %s: its reset takes no seed; random and np.random are seeded instead",
@@ -104,6 +109,8 @@ class Environment:
             raise self._faults.of_call(
                 "reset", self._env, error, lambda env: env.reset(seed=seed)
             ) from error
+        if self._fast is not None:
+            self._fast.begin()
         self._end()
         wrong = wrong_reset(result)
         if wrong:
@@ -201,7 +208,7 @@ class Environment:
         """Make steps with one action, until the episode ends; the rewards are added up."""
         total = 0.0
         for _ in range(self._repeats):
-            obs, reward, terminated, truncated, info = self._env.step(own.copy())
+            obs, reward, terminated, truncated, info = self._step_once(own.copy())
             total += self._number(reward)
             ends = self._truth("terminated", terminated), self._truth("truncated", truncated)
             if any(ends):

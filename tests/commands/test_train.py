@@ -20,6 +20,7 @@ def _train(path: Path, *, resume: bool = False) -> int:
         listen=None,
         security=Security(),
         metrics_port=-1,
+        fast_envs=True,
         resume=resume,
         as_json=False,
         again="a2s train --resume",

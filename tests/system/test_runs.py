@@ -80,13 +80,16 @@ def test_two_terminals_in_either_order(
 def test_lockstep_is_reproducible_to_the_bit(
     run_a2s: RunA2S, tmp_path: Path, settings: tuple[str, ...]
 ) -> None:
-    """Two actors race each other differently in both runs; nothing of it is to be seen."""
+    """Two actors race each other differently in both runs; nothing of it is to be seen.
+
+    Nor of how the environments are stepped.
+    """
     options = (
         "--env", "InvertedPendulum-v5", *FAST, *settings, "--lockstep", "--seed", "7", "--n", "2",
     )  # fmt: skip
     summaries = [
-        run_a2s("train", *options, "--total-steps", "1500", "--run", name, "--episodes", "1")
-        for name in ("one", "two")
+        run_a2s("train", *options, "--total-steps", "1500", "--run", name, "--episodes", "1", fast)
+        for name, fast in (("one", "--fast-envs"), ("two", "--no-fast-envs"))
     ]
     one, two = (tmp_path / "runs" / name for name in ("one", "two"))
     for table in ("episodes.csv", "updates.csv"):

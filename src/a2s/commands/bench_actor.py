@@ -33,7 +33,7 @@ def contests(stack: ExitStack) -> list[Contest]:
 
 
 def _acting(env_id: str, suggestions: int) -> Contender:
-    environments = [Environment(EnvConfig(env_id=env_id)) for _ in range(ENVS)]
+    environments = [Environment(EnvConfig(env_id=env_id), fast=True) for _ in range(ENVS)]
     suggester = Suggester(_graph(environments[0].spaces, suggestions))
     rollout = Rollout("bench", environments, 0, ActorMetrics(), Troubles())
     notice = Notice(

@@ -303,6 +303,11 @@ AllowEnv = Annotated[list[str] | None, option(
     help="Code that the learner may have it run: a module or FILE.py, with :NAME for no more; may "
     "be repeated. What Gymnasium knows needs none.",
 )]
+FastEnvs = Annotated[bool, option(
+    _PLACE, "--fast-envs/--no-fast-envs",
+    help="Step Gymnasium's own MuJoCo environments without what a run does not read, to the same "
+    "results; or with it.",
+)]
 OutboxSteps = Annotated[int, whole_number(
     None, "--outbox-steps", low=1, show_envvar=True,
     help="Steps that each process keeps at most while the learner is away.",

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 _NOT_OF_THE_RUN = (
-    "listen", "tls", "password_file", "insecure", "metrics_port", "metrics_host", "replay_from",
-    "replay_journal", "connect", "episodes", "mode", "weights",
+    "listen", "tls", "password_file", "insecure", "metrics_port", "metrics_host", "fast_envs",
+    "replay_from", "replay_journal", "connect", "episodes", "mode", "weights",
 )  # fmt: skip
 
 
@@ -96,6 +96,7 @@ def train(
     password_file: options.PasswordFile = None,
     insecure: options.Insecure = False,
     metrics_port: options.MetricsPort = None,
+    fast_envs: options.FastEnvs = True,
     episodes: options.Episodes = 10,
     mode: options.Mode = "mean",
     weights: options.WhichWeights = "latest",
@@ -114,6 +115,7 @@ def train(
             listen=listen,
             security=Security(tls, password_file, insecure),
             metrics_port=metrics_port,
+            fast_envs=fast_envs,
             resume=resume,
             as_json=json_,
             again=again_by(context, path),

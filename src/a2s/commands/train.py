@@ -59,6 +59,7 @@ def train(
     listen: str | None,
     security: Security,
     metrics_port: int | None,
+    fast_envs: bool,
     resume: bool,
     as_json: bool,
     again: str,
@@ -67,7 +68,8 @@ def train(
     """Train, evaluate, plot, and say where everything is.
 
     The learner listens on a free port of this machine where ``listen`` is ``None``; the actors
-    serve their metrics on a free port. ``evaluation`` has the arguments of `evaluate_run`.
+    serve their metrics on a free port. ``fast_envs`` is theirs; ``evaluation`` has the arguments of
+    `evaluate_run`.
     ``as_json`` prints the summary as the last line of standard output, and all else elsewhere.
     ``again`` is the command that goes on with the run.
 
@@ -95,6 +97,7 @@ def train(
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += [word for code in run.env_config().code for word in ("--allow-env", code)]
         actor += replace(security, insecure=False).words()
+        actor += [] if fast_envs else ["--no-fast-envs"]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
         evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
         starting = started(learner, out, files=(config.fileno(),))
