@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from a2s import __version__
-from a2s.commands import groups, options, replay_cli, results_cli, run_cli
+from a2s.commands import bench_cli, groups, options, replay_cli, results_cli, run_cli
 from a2s.commands.process import EXIT_FAILED, end_on_signals, open_standard_streams
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.identity import Security
@@ -303,25 +303,7 @@ def tune(
     raise typer.Exit(stop.exit_code)
 
 
-@app.command()
-def bench(
-    suite: Annotated[str, typer.Argument(help="actor, learner, wire or replay.")],
-    rounds: Annotated[
-        int,
-        options.whole_number(
-            None, "--rounds", low=1, envvar=None, help="Turns of every contender."
-        ),
-    ] = 9,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Of one turn, at least.")] = 0.2,
-    json_: options.Json = False,
-) -> None:
-    """Measure this machine: rates beside others' in the same run, medians over the rounds."""
-    run_cli.require_learner()
-    from a2s.commands.bench import bench as measure
-    from a2s.commands.bench import table
-
-    rows = measure(suite, rounds, seconds)
-    typer.echo(json.dumps(rows) if json_ else table(rows))
+app.command()(bench_cli.bench)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from a2s.protocol.errors import UsageError, nearest
 
 logger = logging.getLogger(__name__)
 
-SUITES = ("actor", "learner", "wire", "replay")
+SUITES = ("actor", "learner", "wire", "replay", "startup")
 
 
 class Contender(NamedTuple):
@@ -23,16 +23,17 @@ class Contender(NamedTuple):
     """
 
     name: str
-    call: Callable[[], object]
+    call: Callable[[], Any]
     size: float = 1.0
     is_baseline: bool = False
 
 
 class Contest(NamedTuple):
-    """Ways of doing the same, and the unit of all, a rate."""
+    """Ways of doing the same, and the unit of all: of a rate, or of what calls give to read."""
 
     unit: str
     contenders: Sequence[Contender]
+    is_reading: bool = False
 
 
 def bench(suite: str, rounds: int, seconds: float) -> list[dict[str, Any]]:
@@ -61,7 +62,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         ratio = "" if row["ratio"] is None else f"{row['ratio']:8.2f} x the fastest other"
-        lines.append(f"{row['name']:<44}{row['value']:>14,.6g} {row['unit']:<14}{ratio}")
+        lines.append(f"{row['name']:<44}{_number(row['value']):>14} {row['unit']:<14}{ratio}")
     return "\n".join(lines)
 
 
@@ -83,8 +84,8 @@ def _hold(contest: Contest, rounds: int, seconds: float) -> list[dict[str, Any]]
     found: dict[str, list[float]] = {one.name: [] for one in contest.contenders}
     for turn in range(rounds + 1):
         for one in contest.contenders:
-            rate = _rate(one, seconds)
-            found[one.name] += [rate] if turn else []
+            value = one.call() if contest.is_reading else _rate(one, seconds)
+            found[one.name] += [float(value)] if turn else []
     against = [found[one.name] for one in contest.contenders if one.is_baseline]
     fastest = [max(rates) for rates in zip(*against, strict=True)]
     return [
@@ -105,6 +106,10 @@ def _rate(one: Contender, seconds: float) -> float:
         one.call()
         count += 1
     return count * one.size / spent_s
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:,.6g}"
 
 
 def _median(values: list[float]) -> float | None:

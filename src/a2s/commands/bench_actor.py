@@ -34,7 +34,7 @@ def contests(stack: ExitStack) -> list[Contest]:
 
 def _acting(env_id: str, suggestions: int) -> Contender:
     environments = [Environment(EnvConfig(env_id=env_id), fast=True) for _ in range(ENVS)]
-    suggester = Suggester(_graph(environments[0].spaces, suggestions))
+    suggester = Suggester(graph(environments[0].spaces, suggestions))
     rollout = Rollout("bench", environments, 0, ActorMetrics(), Troubles())
     notice = Notice(
         generation=1, epoch=0, version=1, quota_steps=STEPS, quota_episodes=0, num_bytes=1,
@@ -47,7 +47,8 @@ def _acting(env_id: str, suggestions: int) -> Contender:
     )
 
 
-def _graph(spaces: Spaces, suggestions: int) -> bytes:
+def graph(spaces: Spaces, suggestions: int) -> bytes:
+    """Default networks with their first weights, as actors get them."""
     config = OnPolicyConfig(suggestions=suggestions)
     algorithm = OnPolicy(spaces.obs_size, len(spaces.action_low), config, 0)
     algorithm.q_trusted = True

@@ -5,6 +5,7 @@ import numpy as np
 from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.messages import Segment
 
+ENV_ID = "HalfCheetah-v5"
 OBS, ACTION, STEPS, BATCH = 17, 6, 1000, 256
 SPACES = Spaces(
     obs_size=OBS,

@@ -18,14 +18,13 @@ import numpy as np
 import torch
 
 from a2s.commands.bench import Contender, Contest, missing
-from a2s.commands.bench_data import ACTION, BATCH, OBS
+from a2s.commands.bench_data import ACTION, BATCH, ENV_ID, OBS
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.run.config import off_policy
 from a2s.learner.run.memory import keep_freed_memory
 from a2s.protocol.errors import A2SError
 
-ENV_ID = "HalfCheetah-v5"  # of these sizes; it is never stepped
 STORED = 20_000
 UPDATES = 10
 
