@@ -199,6 +199,49 @@ class Watch:
         return ""
 
 
+class Asked:
+    """A child that answers once about an environment; close it."""
+
+    def __init__(
+        self, module: str, config: EnvConfig, on_words: Callable[[str], None], **task: Any
+    ) -> None:
+        self._env_id = config.env_id
+        self._reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
+        self._watch = Watch(config.env_id, config.timeout_s, on_words)
+        self._child = Child(module, {"env": config.to_json(), **task}, self._reports.put, on_words)
+
+    def answer(self, proceed: Callable[[], bool] = lambda: True) -> Report:
+        """Wait for what it reports under ``result``.
+
+        Empty once ``proceed``, asked again and again, is false.
+
+        Raises:
+            UsageError: The child said so.
+            FaultyEnvironmentError: The child said so, died, or was held up in a call.
+        """
+        child, held_up = self._child, ""
+        while self._reports.empty() and child.ended() is None and not held_up:
+            held_up = self._watch.overdue(child.doing())
+            if not proceed():
+                return {}
+            time.sleep(_POLL_S)
+        if not held_up:
+            child.stop(self._env_id, _CLOSE_S)
+        last, code = child.doing(), child.kill()
+        if held_up:
+            raise FaultyEnvironmentError(held_up)
+        if self._reports.empty():
+            raise FaultyEnvironmentError(death_of(self._env_id, code, last))
+        report = self._reports.get()
+        if "error" in report:
+            raise _error_of(report["error"])
+        return dict(report["result"])
+
+    def close(self) -> None:
+        """End it."""
+        self._child.kill()
+
+
 def ask_child(
     module: str,
     config: EnvConfig,
@@ -206,37 +249,9 @@ def ask_child(
     proceed: Callable[[], bool] = lambda: True,
     **task: Any,
 ) -> Report:
-    """Run a child that answers once about an environment, and end it.
-
-    Returns:
-        What it reported under ``result``; empty once ``proceed``, asked again and again, is false.
-
-    Raises:
-        UsageError: The child said so.
-        FaultyEnvironmentError: The child said so, died, or was held up in a call.
-    """
-    reports: queue.SimpleQueue[Report] = queue.SimpleQueue()
-    watch = Watch(config.env_id, config.timeout_s, on_words)
-    child = Child(module, {"env": config.to_json(), **task}, reports.put, on_words)
-    held_up = ""
-    try:
-        while reports.empty() and child.ended() is None and not held_up:
-            held_up = watch.overdue(child.doing())
-            if not proceed():
-                return {}
-            time.sleep(_POLL_S)
-        if not held_up:
-            child.stop(config.env_id, _CLOSE_S)
-    finally:
-        last, code = child.doing(), child.kill()
-    if held_up:
-        raise FaultyEnvironmentError(held_up)
-    if reports.empty():
-        raise FaultyEnvironmentError(death_of(config.env_id, code, last))
-    report = reports.get()
-    if "error" in report:
-        raise _error_of(report["error"])
-    return dict(report["result"])
+    """Run a child that answers once, and end it; see `Asked.answer`."""
+    with contextlib.closing(Asked(module, config, on_words, **task)) as asked:
+        return asked.answer(proceed)
 
 
 def death_of(env_id: str, code: int, doing: Doing | None) -> str:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -10,7 +11,7 @@ import pytest
 from a2s_case_processes import SPOILED
 
 from a2s.actors.check import check
-from a2s.actors.description import describe
+from a2s.actors.description import Describing
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
 
@@ -66,7 +67,8 @@ def test_a_report_is_heard_though_words_before_it_take_long_to_pass_on() -> None
         busy.wait(0.8)
 
     config = EnvConfig(env_id="a2s_case_processes:Noisy-v0")
-    assert describe(config, wait_a_while) is not None
+    with closing(Describing(config, wait_a_while)) as describing:
+        assert describing.result() is not None
 
 
 def test_orphans_that_have_ended_are_not_kept_as_zombies() -> None:

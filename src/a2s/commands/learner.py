@@ -16,14 +16,13 @@ from typing import Any, TextIO
 import torch
 import typer
 
+from a2s.actors.description import Describing
 from a2s.actors.description import Description as Described
-from a2s.actors.description import describe
 from a2s.commands.process import (
     LEARNER_METRICS_PORT,
     Stop,
     log_warnings,
     outlast_streams,
-    pass_on,
     serve_on,
     stop_on_signals,
 )
@@ -120,7 +119,11 @@ class Place:
 
 
 def learn(
-    configuration: Configuration, place: Place, listen: str | None, security: Security
+    configuration: Configuration,
+    place: Place,
+    describing: Describing,
+    listen: str | None,
+    security: Security,
 ) -> int:
     """Run a learner to its end.
 
@@ -133,7 +136,7 @@ def learn(
     run, endpoint = configuration.run, security.endpoint(listen or DEFAULT_ENDPOINT)
     check_endpoint(endpoint)
     identity = security.listener(Keys(run.run), endpoint)
-    described, stop = prepare(configuration, place.out)
+    described, stop = prepare(configuration, describing, place.out)
     if described is None:
         return stop.exit_code
     with (
@@ -180,12 +183,14 @@ def learn(
     return place.end(summary, stop)
 
 
-def prepare(configuration: Configuration, out: TextIO) -> tuple[Described | None, Stop]:
-    """Look at the environment and load what an update calls; ``None`` if that was interrupted."""
+def prepare(
+    configuration: Configuration, describing: Describing, out: TextIO
+) -> tuple[Described | None, Stop]:
+    """Wait for the description and load what an update calls; ``None`` if that was interrupted."""
     run = configuration.run
     prepare_process(run)
     with stop_on_signals() as stop:
-        described = describe(run.env_config(), pass_on, lambda: not stop.is_set())
+        described = describing.result(lambda: not stop.is_set())
         if described is not None:
             require_room(configuration.hyper, described.spaces)
             _compile(configuration.hyper, out, stop)

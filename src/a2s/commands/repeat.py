@@ -8,6 +8,7 @@ from pathlib import Path
 
 import typer
 
+from a2s.actors.description import Describing
 from a2s.commands.learner import Place, prepare
 from a2s.learner.ingest import journal
 from a2s.learner.make import make_learner
@@ -23,7 +24,7 @@ _JOURNAL, _CHECKPOINTS, _TENSORS = "journal", "checkpoints", "tensors.safetensor
 _TAKEN = ("segments.log", run_directory.UPDATES, run_directory.EPISODES)
 
 
-def repeat(configuration: Configuration, place: Place, source: Path) -> int:
+def repeat(configuration: Configuration, place: Place, describing: Describing, source: Path) -> int:
     """Learn again from the oldest checkpoint whose journal is kept, and compare the weights.
 
     ``source`` is the directory of a run; it is not changed.
@@ -38,7 +39,7 @@ def repeat(configuration: Configuration, place: Place, source: Path) -> int:
         raise UsageError(f"--run-dir: {place.path} is not empty; name another")
     run = replace(configuration.run, evaluate_every=0, tensorboard=False)
     configuration = replace(configuration, run=run)
-    described, stop = prepare(configuration, place.out)
+    described, stop = prepare(configuration, describing, place.out)
     if described is None:
         return stop.exit_code
     with (

@@ -2,6 +2,7 @@
 
 import importlib.util
 import shlex
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import typer
 
 from a2s.commands import options
 from a2s.commands.groups import RUN, taking
+from a2s.commands.process import pass_on
 from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
@@ -58,28 +60,35 @@ def learner(
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
-    from a2s.commands.learn_from import learn_from
-    from a2s.commands.learner import Place, learn
-
-    place = Place(
-        path=path,
-        resume=resume,
-        metrics_host=metrics_host,
-        metrics_port=metrics_port,
-        as_json=json_,
-        again=again or again_by(context, path),
-    )
+    place: dict[str, Any] = {
+        "path": path,
+        "resume": resume,
+        "metrics_host": metrics_host,
+        "metrics_port": metrics_port,
+        "as_json": json_,
+        "again": again or again_by(context, path),
+    }
     security = Security(tls, password_file, insecure)
-    if replay_journal:
+    if replay_from is not None:
+        from a2s.commands.learn_from import learn_from
+        from a2s.commands.learner import Place
+
+        code = learn_from(
+            configuration, Place(**place), replay_from, env=given["env"], connect=connect,
+            security=security,
+        )  # fmt: skip
+        raise typer.Exit(code)
+    from a2s.actors.description import Describing
+
+    config_of_env = configuration.run.env_config()
+    with closing(Describing(config_of_env, pass_on)) as describing:  # while torch is imported
+        from a2s.commands.learner import Place, learn
         from a2s.commands.repeat import repeat
 
-        code = repeat(configuration, place, Path(replay_journal))
-    elif replay_from is None:
-        code = learn(configuration, place, listen, security)
-    else:
-        code = learn_from(
-            configuration, place, replay_from, env=given["env"], connect=connect, security=security
-        )
+        if replay_journal:
+            code = repeat(configuration, Place(**place), describing, Path(replay_journal))
+        else:
+            code = learn(configuration, Place(**place), describing, listen, security)
     raise typer.Exit(code)
 
 
