@@ -1,5 +1,7 @@
 """Whole loops, acting while learning: ``python -m speed.loops CONTENDER ENV SECONDS``: steps/s.
 
+ENV may be followed by options of ``a2s train``, in the same word: ``"Hopper-v5 --n 4"``.
+
 Each learns in processes of its own. The first part of a run, with what has to be loaded, is not
 counted: a2s counts the second half of its updates, the others count from their second update on.
 """
@@ -52,8 +54,10 @@ def theirs(algorithm: str, env: str, seconds: float) -> float:
 
 def main() -> None:
     """Measure one."""
-    name, env, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3])
-    rate = ours(_OURS[name], env, seconds) if name in _OURS else theirs(name, env, seconds)
+    name, work, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3])
+    env, *more = work.split()
+    is_ours = name in _OURS
+    rate = ours((*_OURS[name], *more), env, seconds) if is_ours else theirs(name, env, seconds)
     sys.stdout.write(f"{rate}\n")
 
 

@@ -52,6 +52,18 @@ TABLES = {
         ),
         ("stepping: EnvPool", "stepping: gym.make", "stepping: physics"), _ENVS, "env steps/s", 3.0,
     ),
+    "growth": Table(
+        ("loops: a2s", "loops: a2s a2c"), ("loops: a2s a2c",),
+        tuple(
+            f"{env} --n {n} --envs {envs}"
+            for env, n, envs in (
+                *(("HalfCheetah-v5", 1, envs) for envs in (1, 4, 16, 64)),
+                *(("HalfCheetah-v5", n, 16 // n) for n in (2, 4, 8)),
+                ("Humanoid-v5", 1, 16),
+            )
+        ),
+        "env steps/s", 8.0,
+    ),
     "selecting": Table(
         ("selecting: a2s", "selecting: torch"), ("selecting: torch",),
         ("10:1", "10:8", "1:8", "64:8", "256:8"), "observations/s", 1.0,
