@@ -43,7 +43,7 @@ TABLES = {
             "loops: a2s", "loops: a2s a2c", "loops: SB3 PPO", "loops: SB3 A2C",
             "stepping: gym.make",
         ),
-        ("loops: SB3 PPO", "stepping: gym.make"), _ENVS, "env steps/s", 10.0,
+        ("loops: SB3 PPO", "stepping: gym.make"), _ENVS, "env steps/s", 6.0,
     ),
     "acting": Table(
         (
