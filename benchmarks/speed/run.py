@@ -77,7 +77,7 @@ def make_environment() -> None:
     """Install a2s and its peers into build/speed, unless they are there."""
     if not PYTHON.exists():
         subprocess.run([sys.executable, "-m", "venv", str(PLACE)], check=True)
-    wanted = ["-c", "constraints.txt", "-e", ".", "-r", str(HERE / "requirements.txt")]
+    wanted = ["-c", "constraints.txt", "-e", ".[learner]", "-r", str(HERE / "requirements.txt")]
     faster = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", str(PYTHON)]
     pip = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     if subprocess.run([*faster, *wanted], cwd=ROOT, check=False).returncode:

@@ -8,11 +8,12 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
 
-CORES, ENVS, WARM_UP_S = 2, 8, 1.0
+CORES, ENVS, WARM_UP_S, _PATIENCE_S = 2, 8, 1.0, 120.0
 _DRAWN = 4096
 Step = Callable[[], int]  # makes some steps, and says how many
 
@@ -159,16 +160,23 @@ CONTENDERS: dict[str, tuple[Callable[[str, int], Step], int]] = {  # and its pro
 }
 
 
-def _work(name: str, env: str, index: int, seconds: float, ready: Any, rates: Any) -> None:
+_ready: list[Any] = []  # in each process: where all of them wait for the others
+
+
+def _prepare(ready: Any) -> None:
+    _ready.append(ready)
+
+
+def _work(name: str, env: str, index: int, seconds: float) -> float:
     some = CONTENDERS[name][0](env, index)
     begin_s = time.perf_counter()
     while time.perf_counter() - begin_s < WARM_UP_S:
         some()
-    ready.wait()
+    _ready[0].wait(_PATIENCE_S)
     count, begin_s = 0, time.perf_counter()
     while (spent_s := time.perf_counter() - begin_s) < seconds:
         count += some()
-    rates.put(count / spent_s)
+    return count / spent_s
 
 
 def main() -> None:
@@ -176,17 +184,10 @@ def main() -> None:
     name, env, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3])
     context = multiprocessing.get_context("spawn")
     count = CONTENDERS[name][1]
-    ready, rates = context.Barrier(count), context.SimpleQueue()
-    workers = [
-        context.Process(target=_work, args=(name, env, index, seconds, ready, rates))
-        for index in range(count)
-    ]
-    for worker in workers:
-        worker.start()
-    total = sum(rates.get() for _ in workers)
-    for worker in workers:
-        worker.join()
-    sys.stdout.write(f"{total}\n")
+    ready = context.Barrier(count)
+    with ProcessPoolExecutor(count, context, _prepare, (ready,)) as pool:
+        rates = [pool.submit(_work, name, env, index, seconds) for index in range(count)]
+    sys.stdout.write(f"{sum(rate.result() for rate in rates)}\n")
 
 
 if __name__ == "__main__":
