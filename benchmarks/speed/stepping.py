@@ -4,6 +4,7 @@ Prints steps/s, the sum over two processes; EnvPool has two threads instead. Act
 before, uniformly; who acts draws its own.
 """
 
+import itertools
 import multiprocessing
 import sys
 import time
@@ -58,7 +59,7 @@ def physics(env_id: str, index: int) -> Step:
     env.reset(seed=index)
     inner = env.unwrapped
     model, data, frames = inner.model, inner.data, inner.frame_skip
-    lengths = iter(_lengths(env_id, index))
+    lengths = itertools.cycle(_lengths(env_id, index))
     left = next(lengths)
 
     def step(action: Any) -> tuple[None, None, bool, bool, None]:
@@ -70,12 +71,9 @@ def physics(env_id: str, index: int) -> Step:
         return None, None, left <= 0, False, None
 
     def reset() -> None:
-        nonlocal left, lengths
+        nonlocal left
         env.reset()
-        left = next(lengths, 0)
-        if not left:
-            lengths = iter(_lengths(env_id, index))
-            left = next(lengths)
+        left = next(lengths)
 
     return _stepping(step, reset, _actions(env.action_space, np.random.default_rng(index)))
 
