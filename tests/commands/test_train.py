@@ -4,9 +4,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from a2s.cli import app
 from a2s.commands import train as train_command
-from a2s.commands.train import train
+from a2s.commands.train import actors_for, train
 from a2s.learner.run.config import assemble
 from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import RunDirectoryError
@@ -26,6 +28,34 @@ def _train(path: Path, *, resume: bool = False) -> int:
         again="a2s train --resume",
         evaluation={},
     )
+
+
+@pytest.mark.parametrize(
+    ("cores", "n", "envs"), [(1, 1, 16), (2, 2, 8), (3, 2, 8), (4, 4, 4), (8, 8, 2), (64, 8, 2)]
+)
+def test_actors_are_chosen_by_cores_and_environments_are_sixteen(
+    cores: int, n: int, envs: int
+) -> None:
+    assert actors_for(cores) == {"n": n, "envs": envs}
+
+
+@pytest.mark.parametrize(
+    ("words", "n", "envs"),
+    [((), 4, 4), (("--n", "3"), 3, 8), (("--envs", "5"), 2, 5), (("--config", "c.toml"), 2, 7)],
+)
+def test_what_the_user_says_is_not_chosen(
+    words: tuple[str, ...],
+    n: int,
+    envs: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("a2s.commands.train.cores_here", lambda: 4)
+    Path("c.toml").write_text("[run]\nenvs = 7\n")
+    shown = CliRunner().invoke(app, ["train", *words, "--print-config"]).stdout
+    found = dict(line.split("#")[0].split(" = ") for line in shown.splitlines() if " = " in line)
+    assert (found["n"].strip(), found["envs"].strip()) == (str(n), str(envs))
 
 
 @pytest.mark.parametrize(

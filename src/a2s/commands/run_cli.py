@@ -113,8 +113,13 @@ def train(
 ) -> None:
     """Train on this machine: a learner and its actors, then an evaluation and a curve."""
     given = options.named(context, RUN)
-    configuration, path = _configure(context, given, config, run_dir, defaults={"n": 2})
+    from a2s.commands.train import actors_for, cores_here
     from a2s.commands.train import train as train_here
+
+    defaults = {"n": 2}
+    if config is None and given["n"] is None and given["envs"] is None:
+        defaults = actors_for(cores_here())
+    configuration, path = _configure(context, given, config, run_dir, defaults=defaults)
 
     how = {"episodes": episodes, "mode": mode, "weights": weights, "seed": configuration.run.seed}
     raise typer.Exit(
