@@ -86,7 +86,7 @@ def test_every_suite_measures_something(suite: str, names: list[str]) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_load_of_actors_is_answered_by_a_learner_that_learns() -> None:
-    options = ["--actors", "3", "--rounds", "2", "--seconds", "1.5", "--json"]
+    options = ["--actors", "3", "--rounds", "4", "--seconds", "2", "--json"]
     result = CliRunner().invoke(cli.app, ["bench", "wire", *options])
     found = {row["name"]: row["value"] for row in json.loads(result.stdout.splitlines()[-1])}
     assert found["3 actors: accepted"] > 0
