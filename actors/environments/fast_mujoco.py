@@ -28,6 +28,8 @@ from gymnasium.envs.mujoco import (
     walker2d_v5,
 )
 
+from a2s.actors.environments.making import limit_of
+
 _COMPARED_WITH = "1.4."  # of Gymnasium: the tests compare with it
 
 _Floats = npt.NDArray[np.float64]
@@ -90,8 +92,7 @@ def fast_steps(env: "gymnasium.Env[Any, Any]") -> FastSteps | None:
     known = gymnasium.__version__.startswith(_COMPARED_WITH)
     if parts_of is None or layer.render_mode is not None or not known:
         return None
-    limit = env.spec.max_episode_steps if env.spec is not None else None
-    return FastSteps(layer, parts_of(layer), limit)
+    return FastSteps(layer, parts_of(layer), limit_of(env))
 
 
 def _half_cheetah(env: Any) -> _Parts:
@@ -115,7 +116,7 @@ def _hopper(env: Any) -> _Parts:
     qpos, qvel = env.data.qpos, env.data.qvel
     (low, high), (low_z, high_z) = env._healthy_state_range, env._healthy_z_range
     low_angle, high_angle = env._healthy_angle_range
-    return _Parts(_first(env), _walking(env, is_healthy), _joined(env, _clipped(qvel)))
+    return _Parts(_first(env), _walking(env, is_healthy), _with_clipped_velocities(env))
 
 
 def _walker2d(env: Any) -> _Parts:
@@ -124,8 +125,7 @@ def _walker2d(env: Any) -> _Parts:
 
     qpos = env.data.qpos
     (low_z, high_z), (low_angle, high_angle) = env._healthy_z_range, env._healthy_angle_range
-    obs = _joined(env, _clipped(env.data.qvel))
-    return _Parts(_first(env), _walking(env, is_healthy), obs)
+    return _Parts(_first(env), _walking(env, is_healthy), _with_clipped_velocities(env))
 
 
 def _walking(
@@ -159,7 +159,7 @@ def _ant(env: Any) -> _Parts:
     main = env.data.body(env._main_body).xpos
     seen = [clipped[1:].reshape(-1)] if env._include_cfrc_ext_in_observation else []
     judge = _walking(env, is_healthy, contact_cost)
-    return _Parts(lambda: main[0], judge, _joined(env, qvel, *seen), needs_forces=True)
+    return _Parts(lambda: main[0], judge, _joined(env, *seen), needs_forces=True)
 
 
 def _humanoid(env: Any) -> _Parts:
@@ -202,7 +202,7 @@ def _humanoid_obs(env: Any) -> _Join:
         "qfrc_actuator": data.qfrc_actuator[6:], "cfrc_ext": data.cfrc_ext[1:],
     }  # fmt: skip
     seen = [part for name, part in more.items() if getattr(env, f"_include_{name}_in_observation")]
-    return _joined(env, data.qvel, *(part.reshape(-1) for part in seen))
+    return _joined(env, *(part.reshape(-1) for part in seen))
 
 
 def _inverted_pendulum(env: Any) -> _Parts:
@@ -262,22 +262,23 @@ def _first(env: Any) -> Callable[[], float]:
     return lambda: qpos[0]
 
 
-def _joined(env: Any, *after_positions: Any) -> _Join:
-    """Join positions, but for those that the environment hides, and views or functions."""
-    hidden = env.observation_structure["skipped_qpos"]
-    rest = after_positions or (env.data.qvel,)
-    if not callable(rest[0]):
-        return _views(env.data.qpos[hidden:], *rest)
-    positions, (velocities,) = env.data.qpos[hidden:], rest
-    return lambda: _join((positions, velocities()))
+def _joined(env: Any, *more: _Floats) -> _Join:
+    """Join positions, but for those that the environment hides, velocities, and more."""
+    return _views(_seen_positions(env), env.data.qvel, *more)
+
+
+def _with_clipped_velocities(env: Any) -> _Join:
+    positions, velocities = _seen_positions(env), env.data.qvel
+    return lambda: _join((positions, _within(velocities)))
+
+
+def _seen_positions(env: Any) -> _Floats:
+    seen: _Floats = env.data.qpos[env.observation_structure["skipped_qpos"] :]
+    return seen
 
 
 def _views(*parts: _Floats) -> _Join:
     return lambda: _join(parts)
-
-
-def _clipped(values: _Floats) -> _Join:
-    return lambda: _within(values)
 
 
 def _within(values: _Floats) -> _Floats:

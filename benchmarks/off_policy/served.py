@@ -37,7 +37,7 @@ def main() -> None:
         stack.callback(replay.close)
         rng = np.random.default_rng(0)
         for seq in range(ROWS // STEPS):
-            replay.insert(make_segment(seq, rng))
+            replay.insert(make_segment(rng, seq=seq))
         ours = served(replay, stack)
         peer = _peer(arguments.reverb_python, stack)
         rates = []

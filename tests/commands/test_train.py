@@ -51,7 +51,7 @@ def test_what_the_user_says_is_not_chosen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("a2s.commands.train.cores_here", lambda: 4)
+    monkeypatch.setattr("a2s.commands.run_cli.cores_here", lambda: 4)
     Path("c.toml").write_text("[run]\nenvs = 7\n")
     shown = CliRunner().invoke(app, ["train", *words, "--print-config"]).stdout
     found = dict(line.split("#")[0].split(" = ") for line in shown.splitlines() if " = " in line)

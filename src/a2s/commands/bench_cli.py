@@ -8,7 +8,6 @@ import typer
 from a2s.commands import options, run_cli
 from a2s.protocol.errors import UsageError
 
-_PACE_S = 0.0
 _LOAD = "Load of simulated actors (wire)"
 
 
@@ -38,7 +37,7 @@ def bench(
             rich_help_panel=_LOAD,
             help="Seconds from one segment of an actor to its next; 0: once it is answered.",
         ),
-    ] = _PACE_S,
+    ] = 0.0,
     connect: Annotated[
         str | None,
         typer.Option(

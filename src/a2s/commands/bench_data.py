@@ -1,5 +1,7 @@
 """Made-up data of the size of HalfCheetah, for the benchmarks."""
 
+from typing import Any
+
 import numpy as np
 
 from a2s.protocol.fields import Array, Spaces
@@ -14,26 +16,23 @@ SPACES = Spaces(
 )
 
 
-def make_segment(seq: int, rng: np.random.Generator) -> Segment:
-    """Make a whole episode of 1000 steps."""
+def make_segment(
+    rng: np.random.Generator, *, steps: int = STEPS, spaces: Spaces = SPACES, **of: Any
+) -> Segment:
+    """Make the last steps of an episode, of actions within -1 and 1; ``of`` are other fields."""
 
     def normal(*shape: int) -> Array:
         return rng.standard_normal(shape, dtype=np.float32)
 
+    fields: dict[str, Any] = {
+        "actor": "a", "seq": 0, "generation": 1, "epoch": 0, "weights_version": 0, "env": 0,
+        "terminated": False, "truncated": True, "episode_return": 0.0, "episode_length": steps,
+    }  # fmt: skip
     return Segment(
-        actor="a",
-        seq=seq,
-        generation=1,
-        epoch=0,
-        weights_version=0,
-        env=0,
-        obs=normal(STEPS, OBS),
-        suggestion=normal(STEPS, ACTION),
-        log_prob=normal(STEPS),
-        reward=normal(STEPS),
-        final_obs=normal(OBS),
-        terminated=False,
-        truncated=True,
-        episode_return=0.0,
-        episode_length=STEPS,
+        obs=normal(steps, spaces.obs_size),
+        suggestion=rng.uniform(-1, 1, (steps, spaces.action_size)).astype(np.float32),
+        log_prob=normal(steps),
+        reward=normal(steps),
+        final_obs=normal(spaces.obs_size),
+        **{**fields, **of},
     )

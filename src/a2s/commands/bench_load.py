@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from a2s.commands.bench_data import ENV_ID
+from a2s.commands.bench_data import ENV_ID, make_segment
 from a2s.commands.process import free_endpoint
 from a2s.commands.train import started
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.errors import RefusedError
-from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Ack, Hello, Notice, Refusal, Segment, Weights, Welcome
 from a2s.protocol.zenoh_bus import ZenohBus
@@ -99,7 +98,12 @@ class _Session:
                 continue
             if played is None or notice.identity != played.identity:
                 self._fetch(notice)
-                segment = self._make(welcome, notice)
+                segment = make_segment(
+                    self._rng, steps=notice.quota_steps, spaces=welcome.spaces, actor=self._name,
+                    generation=notice.generation, epoch=notice.epoch,
+                    weights_version=notice.version, terminated=True, truncated=False,
+                    episode_return=float(self._rng.standard_normal()),
+                )  # fmt: skip
             played, begin_s = notice, perf_counter()
             ack = self._send(segment)
             if ack is not None and ack.verdict == "unknown":
@@ -156,9 +160,6 @@ class _Session:
         if reply and decode(reply, Weights).notice.identity == notice.identity:
             self._tally.fetched(notice)
 
-    def _make(self, welcome: Welcome, notice: Notice) -> Segment:
-        return make_segment(self._name, welcome.spaces, notice, self._rng)
-
     def _send(self, segment: Segment) -> Ack | None:
         payload = encode(replace(segment, seq=self._seq))
         begin_s = perf_counter()
@@ -168,32 +169,6 @@ class _Session:
         self._tally.answer(verdict, segment.num_steps, perf_counter() - begin_s)
         self._seq += ack is not None and ack.verdict != "unknown"
         return ack
-
-
-def make_segment(actor: str, spaces: Spaces, notice: Notice, rng: np.random.Generator) -> Segment:
-    """Make up a segment of a quota, which ends an episode: standard normal observations."""
-    steps, size = notice.quota_steps, spaces.obs_size
-
-    def normal(*shape: int) -> Array:
-        return rng.standard_normal(shape, dtype=np.float32)
-
-    return Segment(
-        actor=actor,
-        seq=0,
-        generation=notice.generation,
-        epoch=notice.epoch,
-        weights_version=notice.version,
-        env=0,
-        obs=normal(steps, size),
-        suggestion=rng.uniform(-1, 1, (steps, spaces.action_size)).astype(np.float32),
-        log_prob=normal(steps),
-        reward=normal(steps),
-        final_obs=normal(size),
-        terminated=True,
-        truncated=False,
-        episode_return=float(rng.standard_normal()),
-        episode_length=steps,
-    )
 
 
 def load(

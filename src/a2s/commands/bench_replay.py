@@ -42,7 +42,7 @@ def contests(stack: ExitStack) -> list[Contest]:
     """Make full replays of all kinds."""
     torch.set_num_threads(1)
     rng = np.random.default_rng(0)
-    segments = [make_segment(seq, rng) for seq in range(20)]
+    segments = [make_segment(rng, seq=seq) for seq in range(20)]
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     stored = directory.create(folder / "replay", "E", SPACES, CAPACITY)
     stack.callback(stored.close)

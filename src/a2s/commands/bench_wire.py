@@ -23,7 +23,7 @@ _TIMEOUT_S, _WINDOW = 10.0, 16
 
 def contests(stack: ExitStack) -> list[Contest]:
     """Open the connections."""
-    segment = make_segment(0, np.random.default_rng(0))
+    segment = make_segment(np.random.default_rng(0))
     payload = encode(segment)
     values = [getattr(segment, field.name) for field in fields(segment)]
     arrays = [value for value in values if isinstance(value, np.ndarray)]

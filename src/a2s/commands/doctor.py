@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from a2s import __version__
 from a2s.actors.check import check
-from a2s.commands.process import ACTOR_METRICS_PORT, LEARNER_METRICS_PORT
+from a2s.commands.process import ACTOR_METRICS_PORT, LEARNER_METRICS_PORT, cores_here
 from a2s.commands.rendering import HELP, find_backend
 from a2s.commands.status import ask
 from a2s.protocol.access import ACTOR, LEARNER, VIEWER
@@ -108,7 +108,7 @@ def _version(name: str) -> str | None:
 
 
 def _cores() -> Finding:
-    count = len(os.sched_getaffinity(0))
+    count = cores_here()
     quota = _cgroup("cpu.max")
     if quota and quota[0] != "max":
         count = min(count, max(1, int(quota[0]) // int(quota[1])))

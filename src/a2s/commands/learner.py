@@ -1,7 +1,6 @@
 """``a2s learner``: one learner of one run, with actors."""
 
 import json
-import os
 import secrets
 import shlex
 import subprocess
@@ -21,6 +20,7 @@ from a2s.actors.description import Description as Described
 from a2s.commands.process import (
     LEARNER_METRICS_PORT,
     Stop,
+    cores_here,
     log_warnings,
     outlast_streams,
     serve_on,
@@ -245,7 +245,7 @@ def prepare_process(run: RunConfig) -> None:
     log_warnings()
     if run.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("device: found cuda, expected cpu: torch finds no GPU that it can use")
-    cores = len(os.sched_getaffinity(0))
+    cores = cores_here()
     if run.threads > cores:
         raise UsageError(f"threads: found {run.threads}, expected at most the {cores} cores here")
     torch.set_num_threads(run.threads)

@@ -161,6 +161,11 @@ def pass_on(line: str) -> None:
         sys.stderr.write(f"{'' if line.startswith('environment ') else 'environment: '}{line}\n")
 
 
+def cores_here() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
 def free_endpoint() -> str:
     """Name an endpoint on this machine that nobody listens on now."""
     with socket.socket() as probe:

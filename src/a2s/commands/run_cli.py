@@ -10,7 +10,7 @@ import typer
 
 from a2s.commands import options
 from a2s.commands.groups import RUN, taking
-from a2s.commands.process import pass_on
+from a2s.commands.process import cores_here, pass_on
 from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
@@ -113,7 +113,7 @@ def train(
 ) -> None:
     """Train on this machine: a learner and its actors, then an evaluation and a curve."""
     given = options.named(context, RUN)
-    from a2s.commands.train import actors_for, cores_here
+    from a2s.commands.train import actors_for
     from a2s.commands.train import train as train_here
 
     defaults = {"n": 2}

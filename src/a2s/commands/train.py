@@ -26,6 +26,7 @@ from a2s.commands.process import (
     EXIT_FAILED,
     SIGNALS,
     Stop,
+    cores_here,
     exit_code,
     free_endpoint,
     outlast_streams,
@@ -51,11 +52,6 @@ ACTORS_LOG, EVALUATOR_LOG = "actors.log", "evaluator.log"
 
 PROGRAM: tuple[str, ...] = (sys.executable, "-P", "-m", "a2s.start")
 Process = subprocess.Popen[bytes]
-
-
-def cores_here() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def actors_for(cores: int) -> dict[str, int]:
