@@ -56,11 +56,12 @@ class ServedReplay:
 
     def open(self) -> None:
         """Answer from now on."""
-        self._bus.answer(self._keys.replay_info, self._on_info)
         busy = f"{_MAX_WAITING} requests wait already; ask again in {_RETRY_S:g} s"
         refusal = encode(Refusal(reason=busy, retry_s=_RETRY_S))
         sample = self._keys.replay_sample
         self._bus.answer_in_turn(sample, self._on_sample, lambda: refusal, _MAX_WAITING)
+        # Last: who has been told what there is can sample it.
+        self._bus.answer(self._keys.replay_info, self._on_info)
 
     def _on_info(self, payload: bytes) -> bytes:
         del payload
