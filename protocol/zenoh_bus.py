@@ -208,12 +208,12 @@ class ZenohBus:
         """Close the session: no handler is called any more.
 
         A peer that has become silent holds zenoh up for ten seconds, at whose end it gives up; who
-        closes waits for two of them, and the interpreter's end for the rest.
+        closes waits for two of them, and nobody for the rest.
         """
         for turns in self._turns:
             turns.end()
         if not self._session.is_closed():
-            closing = threading.Thread(target=self._close, name="close")
+            closing = threading.Thread(target=self._close, name="close", daemon=True)
             closing.start()
             closing.join(_CLOSE_S)
 

@@ -199,6 +199,7 @@ def test_a_killed_peer_is_seen_as_leaving(endpoint: str) -> None:
 
 
 def test_a_peer_that_reads_no_more_does_not_keep_us_from_closing(endpoint: str) -> None:
+    """Nor from ending: the interpreter waits for every thread but a daemon."""
     program = (
         "import sys, threading\n"
         "from a2s.protocol.zenoh_bus import ZenohBus\n"
@@ -217,6 +218,7 @@ def test_a_peer_that_reads_no_more_does_not_keep_us_from_closing(endpoint: str) 
             for _ in range(8):  # more than fits into its link
                 learner.publish(LIVE, bytes(1 << 20))
             learner.close()
+            assert [each.daemon for each in threading.enumerate() if each.name == "close"] == [True]
         finally:
             process.kill()
 
