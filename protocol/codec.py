@@ -17,11 +17,11 @@ from typing import Any, TypeVar
 import msgpack
 import numpy as np
 
-from a2s.protocol import evaluation_messages, keys, messages, replay_messages
+from a2s.protocol import evaluation_messages, messages, replay_messages
 from a2s.protocol.counting import has_too_many_values
 from a2s.protocol.errors import MalformedMessageError, OversizeMessageError, SchemaMismatchError
+from a2s.protocol.keys import MAJOR
 
-SCHEMA_VERSION = keys.MAJOR
 MIB = 1 << 20
 _DTYPE = np.dtype("<f4")
 _ARRAY, _SIZES = {"dtype", "shape", "data"}, "at most two sizes that fit data"
@@ -63,7 +63,7 @@ _KINDS = {kind.__name__: kind for kind in MAX_BYTES}
 def refuse_major_1() -> bytes:
     """Make a refusal that an actor of protocol 1 can read."""
     reason = (
-        f"this actor speaks protocol 1, the learner protocol {SCHEMA_VERSION}: it lacks how the "
+        f"this actor speaks protocol 1, the learner protocol {MAJOR}: it lacks how the "
         "environment is made, and the keys that begin with a2s/2/; install the learner's a2s there"
     )
     return bytes(msgpack.packb({"a2s": 1, "kind": "Refusal", "reason": reason}))
@@ -76,9 +76,7 @@ def encode(message: Message) -> bytes:
         OversizeMessageError: A receiver would refuse it.
     """
     kind = type(message)
-    payload: bytes = msgpack.packb(
-        {"a2s": SCHEMA_VERSION, "kind": kind.__name__, **_to_map(message)}
-    )
+    payload: bytes = msgpack.packb({"a2s": MAJOR, "kind": kind.__name__, **_to_map(message)})
     _check_size(len(payload), kind)
     return payload
 
@@ -101,9 +99,9 @@ def decode(payload: bytes, *kinds: type[M]) -> M:
     if not isinstance(body, dict):
         raise MalformedMessageError(f"{expected}: found {type(body).__name__}, expected a map")
     version = body.pop("a2s", None)
-    if type(version) is not int or version != SCHEMA_VERSION:
+    if type(version) is not int or version != MAJOR:
         spoken = _brief(version)
-        raise SchemaMismatchError(f"peer speaks protocol {spoken}, this is {SCHEMA_VERSION}")
+        raise SchemaMismatchError(f"peer speaks protocol {spoken}, this is {MAJOR}")
     name = body.pop("kind", None)
     kind = _KINDS.get(name) if isinstance(name, str) else None
     if kind not in kinds:

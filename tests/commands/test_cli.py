@@ -76,6 +76,7 @@ Run = Callable[..., tuple[int, str, str]]
         (["learner", "--resume"], "found no run 'default'"),
         (["learner", "--resume", "--run-dir", "nowhere"], "nowhere holds no config.toml"),
         (["actor", "--connect", "learner:7447"], "expected PROTOCOL/HOST:PORT"),
+        (["actor", "--allow-env", "./none.py:Walk"], "found no file ./none.py"),
         (["actor", "--run", "*"], "run name: found '*'"),
         (["evaluate", "nowhere"], "No such file"),
         (["evaluate", ".", "--mode", "men"], "did you mean 'mean'?"),

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Sequence
+from pathlib import Path
 
 import typer
 
@@ -17,6 +18,7 @@ from a2s.commands.process import (
 )
 from a2s.protocol.access import ACTOR
 from a2s.protocol.endpoint import check_endpoint
+from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
 
@@ -46,6 +48,8 @@ def act(
     outlast_streams()
     log_warnings()
     Keys(run)
+    for code in allow_env:
+        _require_there(code)
     connect = security.endpoint(connect)
     check_endpoint(connect)
     known_as = security.peer(ACTOR).name
@@ -81,3 +85,14 @@ def act(
     with stop_on_signals() as stop:
         Supervisor(tasks, fleet).run(stop)
     return stop.exit_code
+
+
+def _require_there(code: str) -> None:
+    """Refuse to allow a file that is not there, as the mistake of a name that it is.
+
+    Raises:
+        UsageError: It is not.
+    """
+    place = code if code.endswith(".py") else code.rpartition(":")[0]
+    if place.endswith(".py") and not (Path(place).is_file() or Path(Path(place).name).is_file()):
+        raise UsageError(f"--allow-env: found no file {place}; name one that is there, or a module")
