@@ -1,5 +1,6 @@
 """Checkpoints: whole or not at all, and a damaged one is never used."""
 
+import gc
 import shutil
 import subprocess
 from pathlib import Path
@@ -21,6 +22,19 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     assert all(torch.equal(tensors[name], tensor) for name, tensor in TENSORS.items())
     assert tensors["generator"].dtype == torch.uint8
     assert size == sum(file.stat().st_size for file in path.iterdir())
+
+
+def test_saving_leaves_nothing_to_be_collected(tmp_path: Path) -> None:
+    """A run saves for days, and what is in cycles waits for as much as there is of libraries."""
+    checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="k")
+    gc.collect()
+    gc.disable()
+    try:
+        for updates in range(2, 12):
+            checkpoint.save(tmp_path, updates, TENSORS, STATE, kind="k")
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
 
 
 def test_the_newest_is_loaded_and_three_are_kept(tmp_path: Path) -> None:
