@@ -115,7 +115,7 @@ def once(kind: str, moment_s: float, second_s: float, options: tuple[str, ...], 
         wrong.append(f"exit code {code}")
     if took_s > _WITHIN_S:
         wrong.append(f"ended after {took_s:.1f} s")
-    if "Traceback" in words:
+    if "Traceback" in words and "a2s" in words:  # before it has come to a2s Python shows its own
         wrong.append(f"a traceback, last: {words.strip().splitlines()[-1]}")
     if kind != "Ctrl-C twice" or (path / "config.toml").exists():
         wrong.append(not_whole(path))

@@ -4,16 +4,17 @@ The packages ``a2s.protocol``, ``a2s.actors`` and ``a2s.learner`` live in the fo
 names at the root of the repository.
 """
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+TYPE_CHECKING = False  # as type checkers know it; until the program begins, a signal is Python's
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from a2s.actors.policy import Policy
 
 __version__ = "0.1.0"
 
 
-def load_policy(path: str | Path, mode: str = "mean", seed: int = 0) -> "Policy":
+def load_policy(path: "str | Path", mode: str = "mean", seed: int = 0) -> "Policy":
     """Load a trained policy; ``policy(obs)`` is the action, for one observation or a batch.
 
     Args:
@@ -24,6 +25,8 @@ def load_policy(path: str | Path, mode: str = "mean", seed: int = 0) -> "Policy"
     Raises:
         UsageError: There is no policy, or the mode is unknown.
     """
+    from pathlib import Path
+
     from a2s.actors.policy import load_policy
 
     return load_policy(Path(path), mode, seed)

@@ -59,6 +59,39 @@ def test_what_a_library_makes_of_a_signal_that_interrupts_its_import_is_not_show
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
 
 
+LOST = """
+import ctypes, os, sys, threading
+from a2s.commands import process
+process._LOST_S = 1
+class Library:
+    def __del__(self):
+        self.missing
+    def __getattr__(self, name):
+        os.kill(os.getpid(), int(sys.argv[2]))
+with process.end_on_signals():
+    library = Library()
+    if sys.argv[1] == "destructor":
+        del library
+    elif sys.argv[1] == "C":
+        assert ctypes.pythonapi.PyObject_HasAttrString(ctypes.py_object(library), b"missing") == 0
+    else:
+        threading.Thread(target=lambda: threading.Event().wait(0.2) or library.missing).start()
+        sys.exit()
+    threading.Event().wait(60)
+"""
+
+
+@pytest.mark.parametrize("where", ["destructor", "C", "the end of Python"])
+@pytest.mark.parametrize(("number", "code"), [("2", 130), ("15", 143)])
+def test_a_signal_whose_exception_is_lost_ends_the_process_all_the_same(
+    where: str, number: str, code: int
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOST, where, number], capture_output=True, check=False, timeout=50
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
+
+
 def test_another_error_stays_what_it_is() -> None:
     before = {number: signal.getsignal(number) for number in SIGNALS}
     try:

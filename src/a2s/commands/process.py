@@ -23,6 +23,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _STANDARD_ERROR = 2
 _CHILD_S = 120.0
 _REPEATED_S = 1.0
+_LOST_S = 8
 
 
 def exit_code(number: int) -> int:
@@ -77,22 +78,40 @@ def stop_on_signals() -> Iterator[Stop]:
 def end_on_signals() -> Iterator[None]:
     """Have signals end this process with the exit code of a `Stop`, without a word.
 
-    Whatever they interrupt may make another error of that: a library that is being imported does.
+    Whatever they interrupt may make another error of the exception that they raise: a library that
+    is being imported does. Or it is lost: in a destructor, a callback, or in C code that takes any
+    error for a no. Then the process is ended as it is.
     """
-    stop = Stop()
-
-    def on_signal(number: int, _frame: FrameType | None) -> None:
-        stop.number = number
-        raise SystemExit(stop.exit_code)
-
+    end = _End()
+    signal.signal(signal.SIGALRM, end.now)
+    sys.unraisablehook = end.on_lost
     for number in _signals():
-        signal.signal(number, on_signal)
+        signal.signal(number, end.on_signal)
     try:
         yield
     except BaseException:  # it is passed on, unless it comes of a signal
-        if stop.interrupted:
-            raise SystemExit(stop.exit_code) from None
+        if end.interrupted:
+            raise SystemExit(end.exit_code) from None
         raise
+
+
+class _End(Stop):
+    """An end by an exception, or at once where that is lost."""
+
+    def on_signal(self, number: int, _frame: FrameType | None) -> None:
+        if self.interrupted:
+            self.now()
+        self.number = number
+        signal.alarm(_LOST_S)
+        raise SystemExit(self.exit_code)
+
+    def on_lost(self, lost: "sys.UnraisableHookArgs") -> None:
+        if self.interrupted and lost.exc_type is SystemExit:
+            self.now()
+        sys.__unraisablehook__(lost)
+
+    def now(self, *_: object) -> None:
+        os._exit(self.exit_code)
 
 
 def _signals() -> list[signal.Signals]:
