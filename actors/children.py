@@ -6,6 +6,8 @@ through a separate pipe. It ends when its parent does, with all processes that i
 """
 
 import contextlib
+import functools
+import importlib.util
 import json
 import logging
 import os
@@ -18,6 +20,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from a2s.actors.activity import Activity, Doing, share
@@ -67,6 +70,8 @@ class Child:
         words, their_words = os.pipe()
         their_life, self._life = os.pipe()
         given = (theirs, their_life, page)
+        # The order of a set of texts is part of what a seed repeats.
+        usual = {"PYTHONHASHSEED": "0"} | _library_of_glfw()
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", module, *map(str, given)],
@@ -75,8 +80,7 @@ class Child:
                 stderr=their_words,
                 pass_fds=given,
                 start_new_session=True,
-                # The order of a set of texts is part of what a seed repeats.
-                env={"PYTHONHASHSEED": "0", **os.environ, FAMILY: self._family},
+                env=usual | os.environ | {FAMILY: self._family},
             )
         finally:
             for fd in (theirs, their_words, their_life, page):
@@ -169,6 +173,17 @@ class Child:
         except ValueError:
             return  # the last one, torn by a kill
         self._on_report(found)
+
+
+@functools.cache
+def _library_of_glfw() -> dict[str, str]:
+    """Name the library of glfw, which MuJoCo imports: to find it, glfw starts a Python."""
+    found = importlib.util.find_spec("glfw")
+    is_usual = os.environ.get("XDG_SESSION_TYPE") != "wayland"
+    if found is None or not found.submodule_search_locations or not is_usual:
+        return {}
+    library = Path(found.submodule_search_locations[0]) / "x11" / "libglfw.so"
+    return {"PYGLFW_LIBRARY": str(library)} if library.exists() else {}
 
 
 class Watch:

@@ -1,5 +1,6 @@
 """What an environment does to its process: the cause of its end is told all the same."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -69,6 +70,23 @@ def test_a_report_is_heard_though_words_before_it_take_long_to_pass_on() -> None
     config = EnvConfig(env_id="a2s_case_processes:Noisy-v0")
     with closing(Describing(config, wait_a_while)) as describing:
         assert describing.result() is not None
+
+
+def test_a_child_that_simulates_starts_no_other_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As glfw would, which comes with MuJoCo: it costs time, and speaks when it is killed."""
+    starts = tmp_path / "starts"
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\n"
+        f"out = open({str(starts)!r}, 'a', buffering=1)\n"
+        "out.write('python\\n')\n"
+        "sys.addaudithook(lambda e, a: e == 'subprocess.Popen' and out.write(f'{a[1][1:3]}\\n'))\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    with closing(Describing(EnvConfig(env_id="Hopper-v5"), lambda _: None)) as describing:
+        assert describing.result() is not None
+    assert starts.read_text().splitlines() == ["python"]
 
 
 def test_orphans_that_have_ended_are_not_kept_as_zombies() -> None:
