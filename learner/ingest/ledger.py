@@ -1,7 +1,7 @@
 """The answer to every segment: exactly once, whatever is killed.
 
-Every answer is one line of ``segments.log``, written before the answer is sent, so that a
-restarted learner recognises the segments that an earlier one has taken.
+Every answer is one line of ``segments.log``, with a checksum, written before the answer is sent, so
+that a restarted learner recognises the segments that an earlier one has taken.
 """
 
 import os
@@ -98,7 +98,7 @@ class Ledger:
                 if known is not None and known.size <= path.stat().st_size:
                     self._trust(file, known)
                 for line in _lines(file):
-                    self._replay(path, line[:-1].decode(errors="replace"))
+                    self._replay(path, line)
                     self._add(line)
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o644)
         os.ftruncate(self._file, self._size)  # a line torn by a kill was never answered
@@ -131,7 +131,7 @@ class Ledger:
         Raises:
             RunDirectoryError: There is no room for it.
         """
-        line = f"{actor} {seq} {verdict} {steps}\n".encode()
+        line = _with_check(f"{actor} {seq} {verdict} {steps}")
         with self._lock, writing(self._path):
             write_at(self._file, line, self._size)
             self._add(line)
@@ -188,16 +188,24 @@ class Ledger:
         if verdict == "accepted":
             self.accepted_steps += steps
 
-    def _replay(self, path: Path, line: str) -> None:
+    def _replay(self, path: Path, line: bytes) -> None:
+        text = line[:-1].decode(errors="replace")
         try:
-            actor, seq, verdict, steps = line.split(" ")
+            actor, seq, verdict, steps, _ = text.split(" ")
             known, number = next(v for v in _RECORDED if v == verdict), int(seq)
             sender = self._senders.get(actor)
             if number < 0 or (sender is not None and sender.skips(number) > _MAX_SKIPPED):
                 raise ValueError
+            if line != _with_check(f"{actor} {seq} {verdict} {steps}"):
+                raise ValueError
             self._count(actor, number, known, int(steps))
         except (ValueError, StopIteration):
-            raise RunDirectoryError(f"{path}: found {line!r:.60}, expected a ledger line") from None
+            raise RunDirectoryError(f"{path}: found {text!r:.60}, expected a ledger line") from None
+
+
+def _with_check(text: str) -> bytes:
+    """The line of an answer: its words, and their XXH32, so that none is read as another one."""
+    return f"{text} {xxhash.xxh32(text.encode()).hexdigest()}\n".encode()
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:
