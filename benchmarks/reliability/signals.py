@@ -107,15 +107,17 @@ def once(kind: str, moment_s: float, second_s: float, options: tuple[str, ...], 
         try:
             code = train.process.wait(60.0)
         except subprocess.TimeoutExpired:
-            return "hangs"
+            return f"hangs; {_orphans(commands, 0.0)}; said {train.log.read_text()[-300:]!r}"
         took_s = time.monotonic() - begin_s
         words = train.log.read_text(errors="replace")
         wrong = [_orphans(commands, max(0.0, _WITHIN_S - took_s))]
-    if code not in (128 + number, -number):
+    # Before Python has come to a2s, it has its own words and codes.
+    is_ours = "a2s" in words or not words.startswith(("Traceback", "Fatal Python error: init"))
+    if is_ours and code not in (128 + number, -number):
         wrong.append(f"exit code {code}")
     if took_s > _WITHIN_S:
         wrong.append(f"ended after {took_s:.1f} s")
-    if "Traceback" in words and "a2s" in words:  # before it has come to a2s Python shows its own
+    if is_ours and "Traceback" in words:
         wrong.append(f"a traceback, last: {words.strip().splitlines()[-1]}")
     if kind != "Ctrl-C twice" or (path / "config.toml").exists():
         wrong.append(not_whole(path))

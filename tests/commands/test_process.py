@@ -38,6 +38,39 @@ def test_a_second_signal_ends_at_once_unless_it_is_the_first_once_more(
     assert (done.returncode, done.stdout, done.stderr) == (code, said, b"")
 
 
+WAITING = """
+import os, signal, sys
+from a2s.commands.process import stop_on_signals
+left = int(sys.argv[1])
+def trace(frame, event, argument):
+    global left
+    left -= event == "line"
+    if left == 0:
+        os.kill(os.getpid(), signal.SIGTERM)
+    return trace
+with stop_on_signals() as stop:
+    sys.settrace(trace)
+    while not stop.wait(0.001):
+        pass
+    sys.settrace(None)
+    print(stop.exit_code)
+"""
+
+
+def test_whatever_a_signal_interrupts_in_waiting_for_it_the_wait_ends() -> None:
+    """Line by line; the lock of an event of `threading` would be held at some of them."""
+    waiting = [
+        subprocess.Popen([sys.executable, "-c", WAITING, str(line)], stdout=subprocess.PIPE)
+        for line in range(1, 31)
+    ]
+    try:
+        assert [process.communicate(timeout=60)[0] for process in waiting] == [b"143\n"] * 30
+    finally:
+        for process in waiting:
+            process.kill()
+            process.communicate()
+
+
 INTERRUPTED = """
 import os, sys
 from a2s.commands.process import SIGNALS, end_on_signals

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import os
 import signal
 import socket
@@ -24,6 +25,7 @@ _STANDARD_ERROR = 2
 _CHILD_S = 120.0
 _REPEATED_S = 1.0
 _LOST_S = 8
+_LOOK_EVERY_S = 0.05
 
 
 def exit_code(number: int) -> int:
@@ -32,9 +34,29 @@ def exit_code(number: int) -> int:
 
 
 class Stop(threading.Event):
-    """Set by the first signal; ``number`` is that of the signal, 0 without one."""
+    """Set by the first signal; ``number`` is that of the signal, 0 without one.
+
+    It has no lock: whom the signal interrupts may hold that of any other event, in `wait`, and the
+    handler would wait for it for ever.
+    """
 
     number = 0
+    _is_set = False
+
+    def set(self) -> None:
+        """Set it."""
+        self._is_set = True
+
+    def is_set(self) -> bool:
+        """Whether it is set."""
+        return self._is_set
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is set, for ``timeout`` seconds at most; gives whether it is."""
+        end_s = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._is_set and (left_s := end_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, _LOOK_EVERY_S))
+        return self._is_set
 
     @property
     def interrupted(self) -> bool:
