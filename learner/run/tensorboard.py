@@ -24,12 +24,16 @@ _OFF_POLICY = {
 
 
 class Board:
-    """Writes event files into ``tensorboard/`` of a run directory, over environment steps."""
+    """Writes event files into ``tensorboard/`` of a run directory, over environment steps.
 
-    def __init__(self, path: Path, variant: str) -> None:
+    A run goes on after ``env_steps``: what files of earlier starts have after that, TensorBoard
+    drops.
+    """
+
+    def __init__(self, path: Path, variant: str, env_steps: int = 0) -> None:
         from tensorboardX import SummaryWriter  # of an extra: a2s[tensorboard]
 
-        self._writer = SummaryWriter(logdir=str(path / FOLDER), write_to_disk=True)
+        self._writer = SummaryWriter(logdir=str(path / FOLDER), purge_step=env_steps + 1)
         self._tags = _OFF_POLICY if variant == "off-policy" else _ON_POLICY
         self._is_on_policy = variant != "off-policy"
         self._score: Score | None = None

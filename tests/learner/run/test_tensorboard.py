@@ -4,7 +4,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.status import Score, Status
@@ -12,15 +12,21 @@ from a2s.learner.run.tensorboard import FOLDER, Board
 
 
 def _read(path: Path) -> dict[str, list[tuple[int, float]]]:
-    """Every scalar, by hand: records of a length, its checksum, an event, its checksum."""
-    (file,) = (path / FOLDER).iterdir()
-    data, found = file.read_bytes(), dict[str, list[tuple[int, float]]]()
-    while data:
-        (size,) = struct.unpack("<Q", data[:8])
-        event = Event.FromString(data[12 : 12 + size])
-        for value in event.summary.value:
-            found.setdefault(value.tag, []).append((event.step, value.simple_value))
-        data = data[16 + size :]
+    """Every scalar, by hand: records of a length, its checksum, an event, its checksum.
+
+    As TensorBoard does, what is there from the step on at which a later file starts is dropped.
+    """
+    found = dict[str, list[tuple[int, float]]]()
+    for file in sorted((path / FOLDER).iterdir()):
+        data = file.read_bytes()
+        while data:
+            (size,) = struct.unpack("<Q", data[:8])
+            event = Event.FromString(data[12 : 12 + size])
+            if event.session_log.status == SessionLog.START:
+                found = {tag: [x for x in found[tag] if x[0] < event.step] for tag in found}
+            for value in event.summary.value:
+                found.setdefault(value.tag, []).append((event.step, value.simple_value))
+            data = data[16 + size :]
     return found
 
 
@@ -59,3 +65,19 @@ def test_off_policy_names_are_those_of_sac(tmp_path: Path) -> None:
         "train/actor_loss": 1.0, "train/critic_loss": 2.0, "train/ent_coef": 0.5,
         "train/n_updates": 0.0,
     }  # fmt: skip
+
+
+def test_a_run_that_goes_on_has_no_step_twice(tmp_path: Path) -> None:
+    """Killed after 3,000 steps, it learns again from those after its checkpoint at 2,000."""
+    first = Board(tmp_path, "off-policy")
+    for step in (1000, 2000, 3000):
+        first.update({"q_loss": 1.0}, Status(RunConfig(), env_steps=step))
+    first.close()
+    (file,) = (tmp_path / FOLDER).iterdir()
+    file.rename(file.with_name("0"))  # names have seconds
+    again = Board(tmp_path, "off-policy", 2000)
+    for step in (3000, 4000):
+        again.update({"q_loss": 2.0}, Status(RunConfig(), env_steps=step))
+    again.close()
+    losses = _read(tmp_path)["train/critic_loss"]
+    assert losses == [(1000, 1.0), (2000, 1.0), (3000, 2.0), (4000, 2.0)]
