@@ -75,7 +75,7 @@ def _until_more(result: Result, table: Path, before: int, of: str) -> float:
     took_s = 0.0
     try:
         took_s = wait_for(lambda: rows(table) > before + 2, "updates")
-        result.add(of=of)
+        result.add(of=f"{of}, again after {took_s:.1f} s")
     except TimeoutError as error:
         result.add(str(error), of=of)
     return took_s
