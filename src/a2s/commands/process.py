@@ -105,7 +105,6 @@ def end_on_signals() -> Iterator[None]:
     error for a no. Then the process is ended as it is.
     """
     end = _End()
-    signal.signal(signal.SIGALRM, end.now)
     sys.unraisablehook = end.on_lost
     for number in _signals():
         signal.signal(number, end.on_signal)
@@ -120,17 +119,22 @@ def end_on_signals() -> Iterator[None]:
 class _End(Stop):
     """An end by an exception, or at once where that is lost."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._show_lost = sys.unraisablehook
+
     def on_signal(self, number: int, _frame: FrameType | None) -> None:
         if self.interrupted:
             self.now()
         self.number = number
+        signal.signal(signal.SIGALRM, self.now)
         signal.alarm(_LOST_S)
         raise SystemExit(self.exit_code)
 
     def on_lost(self, lost: "sys.UnraisableHookArgs") -> None:
         if self.interrupted and lost.exc_type is SystemExit:
             self.now()
-        sys.__unraisablehook__(lost)
+        self._show_lost(lost)
 
     def now(self, *_: object) -> None:
         os._exit(self.exit_code)
