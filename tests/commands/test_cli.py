@@ -12,7 +12,7 @@ import typer
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from a2s import cli
+from a2s import __version__, cli
 from a2s.protocol.errors import UsageError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -212,3 +212,14 @@ def test_what_may_not_be_read_is_one_line(tmp_path: Path) -> None:
         f"a2s: {replay}/replay.json: Permission denied; run as a user with read and write access\n"
     )
     assert (done.returncode, done.stderr) == (1, said)
+
+
+@pytest.mark.parametrize("program", [["a2s"], [sys.executable, "-m", "a2s"]], ids=["a2s", "python"])
+def test_the_program_tells_its_version(program: list[str]) -> None:
+    """`a2s` is beside its Python."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        [*program, "--version"], capture_output=True, text=True, check=False,
+        env={**os.environ, "PATH": path},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{__version__}\n", "")
