@@ -180,6 +180,7 @@ def _library_of_glfw() -> dict[str, str]:
     """Name the library of glfw, which MuJoCo imports: to find it, glfw starts a Python."""
     found = importlib.util.find_spec("glfw")
     is_usual = os.environ.get("XDG_SESSION_TYPE") != "wayland"
+    is_usual &= "PYGLFW_LIBRARY_VARIANT" not in os.environ
     if found is None or not found.submodule_search_locations or not is_usual:
         return {}
     library = Path(found.submodule_search_locations[0]) / "x11" / "libglfw.so"

@@ -80,8 +80,12 @@ class Learner:
             self._saver.go_on(saved[1], again=past is not None)
         names = run.env_config().metric_names
         self._episodes = EpisodeLog(status.episodes, directory, metrics, names)
-        self._board = Board(path, run.variant, env_steps) if run.tensorboard else None
         self._evaluating = Evaluating(evaluations, directory, metrics, status)
+        self._board = (
+            Board(path, run.variant, env_steps, self._evaluating.earlier)
+            if run.tensorboard
+            else None
+        )
         status.generation = numbered(directory.count_start(), mark)
         status.env_steps = status.steps_at_start = env_steps
         self._feed, self._past = connect(status.generation, directory.event), past

@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 _PATIENCE_S = 10.0
 _REFUSED_WITHIN_S = 1.0
+_TRIES, _AGAIN_S = 2, 0.5
 _OPEN_MS = 2000
 _CLOSE_S = 2.0
 
@@ -109,7 +110,7 @@ class ZenohBus:
                 return cls(zenoh.open(config))
             except zenoh.ZError:
                 is_awaited = refusal.is_awaited(endpoint)
-                if is_awaited and (session := _once(endpoint, identity, settings)) is not None:
+                if is_awaited and (session := _try(endpoint, identity, settings)) is not None:
                     return cls(session)
                 now = time.monotonic()
                 goes_on = proceed()
@@ -268,21 +269,27 @@ def _nobody(endpoint: str, waited_s: float, identity: Identity, *, is_awaited: b
     return found if refusal.has_address(endpoint) else f"{found}: its host has no address here"
 
 
-def _once(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.Session | None:
-    """Try once, where something listens: zenoh fails at once if it is not let in.
+def _try(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.Session | None:
+    """Try, where something listens: zenoh fails at once if it is not let in.
 
     ``None``: what listens does not answer.
 
     Raises:
         RefusedError: It does, with what is known of the reason.
     """
-    begin = time.monotonic()
-    try:
-        return zenoh.open(
-            _config("client", {**settings, "transport/unicast/open_timeout": _OPEN_MS})
-        )
-    except zenoh.ZError:
-        is_refused = time.monotonic() - begin < _REFUSED_WITHIN_S
+    for _ in range(_TRIES):
+        begin = time.monotonic()
+        try:
+            return zenoh.open(
+                _config("client", {**settings, "transport/unicast/open_timeout": _OPEN_MS})
+            )
+        except zenoh.ZError:
+            is_refused = time.monotonic() - begin < _REFUSED_WITHIN_S
+        if not is_refused:
+            break
+        time.sleep(_AGAIN_S)
+        if not refusal.is_awaited(endpoint):  # a learner that ends does not let anybody in, either
+            return None
     if found := refusal.why(endpoint, identity):
         raise RefusedError(f"{endpoint}: {found}")
     if is_refused and identity.folder is None:

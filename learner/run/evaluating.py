@@ -22,6 +22,9 @@ class Evaluating:
     """Has the weights of a run evaluated, and writes down what came of it.
 
     The best policy by the mean action, of earlier starts as well, is kept in ``best/policy.onnx``.
+
+    Attributes:
+        earlier: The scores of earlier starts, by the mean action.
     """
 
     def __init__(
@@ -34,10 +37,11 @@ class Evaluating:
         self._evaluations, self._directory = evaluations, directory
         self._metrics, self._status = metrics, status
         self._wanted = self._steps = 0
-        self._known = set[int]()  # steps that were evaluated by earlier starts
-        for each in directory.read_evaluations("mean"):
-            self._known.add(each.env_steps)
-            status.evaluated(Score(each.env_steps, each.mean, each.std))
+        rows = directory.read_evaluations("mean")
+        self.earlier = [Score(each.env_steps, each.mean, each.std) for each in rows]
+        self._known = {score.env_steps for score in self.earlier}
+        for score in self.earlier:
+            status.evaluated(score)
 
     def want(self, make_graph: Callable[[int, float], bytes]) -> None:
         """Have the present weights evaluated if it is time, on episodes that were never played."""

@@ -1,7 +1,7 @@
 """A run for TensorBoard, under the names that Stable-Baselines3 uses."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from a2s.learner.run.status import Score, Status
@@ -27,16 +27,21 @@ class Board:
     """Writes event files into ``tensorboard/`` of a run directory, over environment steps.
 
     A run goes on after ``env_steps``: what files of earlier starts have after that, TensorBoard
-    drops.
+    drops. Of ``scores``, those of earlier starts, what is dropped with it is written again.
     """
 
-    def __init__(self, path: Path, variant: str, env_steps: int = 0) -> None:
+    def __init__(
+        self, path: Path, variant: str, env_steps: int = 0, scores: Sequence[Score] = ()
+    ) -> None:
         from tensorboardX import SummaryWriter  # of an extra: a2s[tensorboard]
 
         self._writer = SummaryWriter(logdir=str(path / FOLDER), purge_step=env_steps + 1)
         self._tags = _OFF_POLICY if variant == "off-policy" else _ON_POLICY
         self._is_on_policy = variant != "off-policy"
-        self._score: Score | None = None
+        self._score = scores[-1] if scores else None
+        for score in scores:
+            if score.env_steps > env_steps:
+                self._add(score)
 
     def update(self, row: Mapping[str, object], status: Status) -> None:
         """Write an update's row, the episodes so far, and an evaluation if there is a new one."""
@@ -57,7 +62,10 @@ class Board:
         score = status.latest_score
         if score is not None and score is not self._score:
             self._score = score
-            self._writer.add_scalar("eval/mean_reward", score.mean, score.env_steps)
+            self._add(score)
+
+    def _add(self, score: Score) -> None:
+        self._writer.add_scalar("eval/mean_reward", score.mean, score.env_steps)
 
     def close(self) -> None:
         """Write what is left, and close the file."""

@@ -1,7 +1,8 @@
 """Where the program begins: a signal ends it without a word, also while the rest is imported."""
 
+# What is behind `signal`, and takes no time to import: until then a signal is Python's to tell of.
+import _signal as signal  # type: ignore[import-not-found]
 import os
-import signal
 
 
 def main() -> None:

@@ -114,6 +114,34 @@ def test_nobody_listening_is_said_and_waited_for_as_long_as_the_caller_wants(
     assert re.fullmatch(nobody + "still trying, start `a2s learner` there", said)
 
 
+def test_a_learner_that_ends_meanwhile_is_no_refusal() -> None:
+    """Its port still takes connections, and ends them: as that of one that wants a password."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def end() -> None:
+        """End connections that speak; once it was looked at, also the listener."""
+        was_looked_at = False
+        while True:
+            link, _ = listener.accept()
+            with closing(link):
+                link.settimeout(0.5)
+                try:
+                    speaks = bool(link.recv(1))
+                except TimeoutError:
+                    was_looked_at, speaks = True, False
+                    link.settimeout(DEADLINE_S)
+                    link.recv(1)
+            if was_looked_at and speaks:
+                listener.close()
+                return
+
+    ending = threading.Thread(target=end)
+    ending.start()
+    with pytest.raises(UnreachableError):
+        ZenohBus.connect(f"tcp/127.0.0.1:{listener.getsockname()[1]}", lambda: False)
+    ending.join()
+
+
 def test_an_actor_may_be_started_before_its_learner(endpoint: str) -> None:
     """It keeps trying for as long as it is told to."""
     tried = threading.Event()

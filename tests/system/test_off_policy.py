@@ -127,5 +127,6 @@ def test_kills_lose_no_acknowledged_transition_and_double_none(
 
 
 def _steps(log: Path) -> int:
-    lines = [line.split(" ") for line in log.read_text().splitlines()]
-    return sum(int(line[3]) for line in lines if len(line) == 4 and line[2] == "accepted")
+    lines = [line.split(" ") for line in log.read_text().splitlines(keepends=True)]
+    whole = [line for line in lines if line[-1].endswith("\n")]
+    return sum(int(steps) for _, _, verdict, steps, _ in whole if verdict == "accepted")

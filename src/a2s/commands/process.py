@@ -112,7 +112,10 @@ def end_on_signals() -> Iterator[None]:
         yield
     except BaseException:  # it is passed on, unless it comes of a signal
         if end.interrupted:
-            raise SystemExit(end.exit_code) from None
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError, ValueError):
+                    stream.flush()
+            end.now()
         raise
 
 

@@ -68,16 +68,27 @@ def test_off_policy_names_are_those_of_sac(tmp_path: Path) -> None:
 
 
 def test_a_run_that_goes_on_has_no_step_twice(tmp_path: Path) -> None:
-    """Killed after 3,000 steps, it learns again from those after its checkpoint at 2,000."""
-    first = Board(tmp_path, "off-policy")
+    """Killed after 3,000 steps, it learns again from those after its checkpoint at 2,000.
+
+    An evaluation at a step that was made is not made again.
+    """
+    first, scores = Board(tmp_path, "off-policy"), []
     for step in (1000, 2000, 3000):
-        first.update({"q_loss": 1.0}, Status(RunConfig(), env_steps=step))
+        status = Status(RunConfig(), env_steps=step)
+        scores += [Score(step, 0.5, 0.0), Score(step + 500, 0.25, 0.0)]
+        for score in scores[-2:]:
+            status.evaluated(score)
+            first.update({"q_loss": 1.0}, status)
     first.close()
     (file,) = (tmp_path / FOLDER).iterdir()
     file.rename(file.with_name("0"))  # names have seconds
-    again = Board(tmp_path, "off-policy", 2000)
+    again, status = Board(tmp_path, "off-policy", 2000, scores), Status(RunConfig())
+    status.evaluated(scores[-1])
     for step in (3000, 4000):
-        again.update({"q_loss": 2.0}, Status(RunConfig(), env_steps=step))
+        status.env_steps = step
+        again.update({"q_loss": 2.0}, status)
     again.close()
-    losses = _read(tmp_path)["train/critic_loss"]
-    assert losses == [(1000, 1.0), (2000, 1.0), (3000, 2.0), (4000, 2.0)]
+    found = _read(tmp_path)
+    losses = [(1000, 1.0), (1000, 1.0), (2000, 1.0), (2000, 1.0), (3000, 2.0), (4000, 2.0)]
+    assert found["train/critic_loss"] == losses
+    assert found["eval/mean_reward"] == [(each.env_steps, each.mean) for each in scores]
