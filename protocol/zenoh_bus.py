@@ -66,6 +66,7 @@ class ZenohBus:
         self._declared: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
+        self._declaring = threading.Lock()
         self._turns: list[_Turns] = []
 
     @classmethod
@@ -132,12 +133,17 @@ class ZenohBus:
         self, key: str, payload: bytes, timeout_s: float
     ) -> Callable[[], bytes | None]:
         """Query ``key``; the replies wait in a channel."""
-        querier = self._queriers.get((key, timeout_s))
-        if querier is None:
-            querier = self._session.declare_querier(key, timeout=timeout_s)
-            self._queriers[key, timeout_s] = querier
-        replies = querier.get(payload=payload)
+        replies = self._querier(key, timeout_s).get(payload=payload)
         return lambda: next((bytes(each.ok.payload) for each in replies if each.ok), None)
+
+    def _querier(self, key: str, timeout_s: float) -> zenoh.Querier:
+        """Declare it once, whoever asks first: one that is forgotten takes its replies with it."""
+        with self._declaring:
+            if (key, timeout_s) not in self._queriers:
+                self._queriers[key, timeout_s] = self._session.declare_querier(
+                    key, timeout=timeout_s
+                )
+            return self._queriers[key, timeout_s]
 
     def answer(self, key: str, handler: Answer) -> None:
         """Declare a queryable on ``key``."""

@@ -218,6 +218,24 @@ def test_a_payload_arrives_intact_both_ways(learner: Bus, actor: Bus, size: int)
     assert type(asked.items[0]) is bytes
 
 
+def test_threads_that_ask_first_at_once_are_all_answered(learner: Bus, actor: Bus) -> None:
+    """What the first question to a key sets up is set up once."""
+    learner.answer_each("a2s/r/first/*", lambda name, question: name.encode() + question)
+    settle(learner, actor)
+    together = threading.Barrier(8)
+
+    def ask(thread: int) -> list[bytes | None]:
+        answers = []
+        for i in range(50):
+            together.wait()
+            answers.append(actor.ask(f"a2s/r/first/{i}", b"/%d" % thread, timeout_s=30.0))
+        return answers
+
+    with ThreadPoolExecutor(8) as threads:
+        answers = list(threads.map(ask, range(8)))
+    assert answers == [[b"%d/%d" % (i, t) for i in range(50)] for t in range(8)]
+
+
 def test_each_of_many_threads_gets_its_own_answer(learner: Bus, actor: Bus) -> None:
     """The sender and the rollout of an actor ask at the same time."""
     learner.answer("a2s/r/segment", lambda question: question)
