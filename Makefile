@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
 INSTALLED := $(VENV)/.installed
 ARGS ?=
+# In the order of tests/conftest.py.
+TWO_AT_A_TIME := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Later options win, so ARGS overrides these.
 TRAIN_DEFAULTS := --env Hopper-v5 --total-steps 300000
 
@@ -37,15 +39,15 @@ train: setup ## Train Hopper-v5 for about three minutes: make train ARGS="--env 
 
 test-fast: setup ## Run the tests that start no run, in less than a minute
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not system and not slow" $(ARGS)
+	@$(BIN)/python -m pytest $(TWO_AT_A_TIME) -m "not system and not slow" $(ARGS)
 
 test: setup ## Run the tests, two at a time, but for the long ones
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile -m "not long" $(ARGS)
+	@$(BIN)/python -m pytest $(TWO_AT_A_TIME) -m "not long" $(ARGS)
 
 test-all: setup ## Run all tests
 	@echo "== pytest"
-	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest $(TWO_AT_A_TIME) $(ARGS)
 
 test-external: setup ## Train one environment of each other package for 3,000 steps
 	@bash tests/external/run.sh 3000 one
