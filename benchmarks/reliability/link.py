@@ -83,7 +83,8 @@ class Direction:
 class Link:
     """Two namespaces, and what carries frames between them; all is removed after the block.
 
-    A process makes one at a time: its number is in their names.
+    A process makes one at a time: its number is in their names. ``congestion``: what the kernel
+    calls TCP's way of finding out how much a link carries; empty: the machine's.
 
     Attributes:
         directions: By the end that sends.
@@ -92,7 +93,8 @@ class Link:
         NoLinkError: On entering, if it cannot be made here.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, congestion: str = "") -> None:
+        self._congestion = congestion
         self.directions = {end: Direction(random.Random(seed)) for end in ADDRESSES}
         # Of device and namespace; a device's has at most 15 characters.
         self._names = {end: f"a2s{os.getpid()}{end[0]}" for end in ADDRESSES}
@@ -144,6 +146,9 @@ class Link:
         _ip("-n", name, "address", "add", f"{ADDRESSES[end]}/24", "dev", name)
         _ip("-n", name, "link", "set", "lo", "up")
         _ip("-n", name, "link", "set", name, "up")
+        if self._congestion:
+            setting = f"net.ipv4.tcp_congestion_control={self._congestion}"
+            _ip("netns", "exec", name, "sysctl", "-w", setting)
 
     def _carry(self) -> None:
         taps = self._taps

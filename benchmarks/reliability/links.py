@@ -8,10 +8,13 @@ frames lost: in async, which must keep up, and on-policy in lockstep too, to kno
 
 These play Hopper-v5 as fast as a real one would, 2 x 2 environments of 125 steps/s: such a link has
 room for their steps, and those who simulate faster than that have a nearer learner. Off-policy
-there is an update for ten steps, so that the learner is not what limits. TCP is the machine's.
+there is an update for ten steps, so that the learner is not what limits; ``large`` has networks of
+the default size, of which 1.7 MB go to the actors. ``--congestion cubic bbr`` does all that with
+each of these; else it is the machine's.
 """
 
 import argparse
+import itertools
 import signal
 import sys
 import time
@@ -36,7 +39,17 @@ HOPPER = ("--env", "Hopper-v5", "--wrapper", "reliability.real_time:RealTime")
 HOPPERS = {
     "on-policy": (*HOPPER, *VARIANTS["on-policy"]),
     "off-policy": (*HOPPER, *VARIANTS["off-policy"], "--set", "utd_ratio=0.1"),
-}
+    "off-policy, large": (
+        *HOPPER, "--variant", "off-policy", "--envs", "2", "--set", "batch_rows=32",
+        "--set", "replay_rows=20000", "--set", "utd_ratio=0.1", "--set", "warm_up_steps=100",
+    ),
+}  # fmt: skip
+KINDS = (
+    ("on-policy", "async"),
+    ("off-policy", "async"),
+    ("off-policy, large", "async"),
+    ("on-policy", "lockstep"),
+)
 _ENDPOINT = f"tcp/{ADDRESSES[LEARNER]}:7447"
 _WORKERS = 2
 _HEALED_S = 60.0
@@ -142,14 +155,14 @@ def partitions(variant: str, cuts_s: Sequence[float], place: Path) -> Result:
     return result
 
 
-def lossy(variant: str, clock: str, seconds: float, place: Path) -> Result:
+def lossy(variant: str, clock: str, congestion: str, seconds: float, place: Path) -> Result:
     """Compare a link without delay or loss with one that has both."""
     result = Result(
-        f"lossy link, {variant}, {clock}",
+        ", ".join(filter(None, ("lossy link", variant, clock, congestion))),
         f"goes on, accounts balance{'; at least half as fast' if clock == 'async' else ''}",
     )
-    with Link() as link, Commands(place) as commands:
-        path = place / f"lossy-{variant}-{clock}"
+    with Link(congestion=congestion) as link, Commands(place) as commands:
+        path = place / f"lossy-{variant}-{clock}-{congestion}"
         run = Run(link, commands, path, *HOPPERS[variant], f"--{clock}")
         plain = run.rate(seconds)
         link.become(LOSSY)
@@ -186,6 +199,7 @@ def main() -> None:
     parser.add_argument(
         "--seconds", type=float, default=20.0, help="over each link; 0: no lossy ones"
     )
+    parser.add_argument("--congestion", nargs="+", default=[""], help="of TCP, on lossy links")
     options = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _end)
@@ -195,8 +209,8 @@ def main() -> None:
             if options.partition:
                 results += [partitions(v, options.partition, place) for v in VARIANTS]
             if options.seconds:
-                kinds = (("on-policy", "async"), ("off-policy", "async"), ("on-policy", "lockstep"))
-                results += [lossy(*kind, options.seconds, place) for kind in kinds]
+                ways = itertools.product(KINDS, options.congestion)
+                results += [lossy(*kind, name, options.seconds, place) for kind, name in ways]
     except NoLinkError as error:
         sys.exit(f"links: {error}")
     tell(results)
