@@ -22,6 +22,7 @@ from pathlib import Path
 
 LEARNER, ACTOR = "learner", "actor"
 ADDRESSES = {LEARNER: "10.77.0.1", ACTOR: "10.77.0.2"}
+_NET = "10.77.0.0/24"
 OTHER = {LEARNER: ACTOR, ACTOR: LEARNER}
 _TUN = Path("/dev/net/tun")
 _TUNSETIFF, _IFF_TAP, _IFF_NO_PI = 0x400454CA, 0x0002, 0x1000  # linux/if_tun.h
@@ -147,8 +148,8 @@ class Link:
         _ip("-n", name, "link", "set", "lo", "up")
         _ip("-n", name, "link", "set", name, "up")
         if self._congestion:
-            setting = f"net.ipv4.tcp_congestion_control={self._congestion}"
-            _ip("netns", "exec", name, "sysctl", "-w", setting)
+            way = (_NET, "dev", name, "src", ADDRESSES[end], "congctl", self._congestion)
+            _ip("-n", name, "route", "replace", *way)
 
     def _carry(self) -> None:
         taps = self._taps
