@@ -109,7 +109,7 @@ class WeightsClient:
 
     def _pull(self) -> Weights | None:
         known = self._notice
-        reply = self._bus.ask(self._keys.weights, b"", _FETCH_TIMEOUT_S)
+        reply = self._bus.fetch(self._keys.weights, _FETCH_TIMEOUT_S)
         if not reply:
             return None
         try:

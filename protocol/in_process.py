@@ -49,6 +49,10 @@ class InProcessBus:
         answer = self.ask(key, payload, timeout_s)
         return lambda: answer
 
+    def fetch(self, key: str, timeout_s: float) -> bytes | None:
+        """Call the handler of ``key``."""
+        return self.ask(key, b"", timeout_s)
+
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key``."""
         with self._exchange.lock:

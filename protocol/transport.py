@@ -39,6 +39,10 @@ class Bus(Protocol):
         """
         ...
 
+    def fetch(self, key: str, timeout_s: float) -> bytes | None:
+        """Ask with nothing for something large; all other messages go first, also later ones."""
+        ...
+
     def answer(self, key: str, handler: Answer) -> None:
         """Answer the questions to ``key`` from now on; ``None`` is no answer."""
         ...

@@ -11,14 +11,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import zenoh
 
 from a2s.protocol import refusal
 from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.errors import A2SError, RefusedError, UnreachableError, UsageError
-from a2s.protocol.identity import ANYBODY, Identity
+from a2s.protocol.identity import ANYBODY, Identity, is_local
 from a2s.protocol.transport import Answer, AnswerEach, OnEach, OnMessage, OnPresence
 
 logger = logging.getLogger(__name__)
@@ -46,6 +46,9 @@ _SETTINGS = {
     "transport/link/rx/buffer_size": 1 << 20,
     "transport/link/rx/max_message_size": 512 << 20,
 }
+# What the kernel has taken to send, nothing can overtake: on a way that carries 60 kB/s it would
+# take up to 4 MB, and an answer would come a minute later (docs/adr/0036).
+_OVER_NETWORKS = {f"transport/link/{kind}/so_sndbuf": 64 << 10 for kind in ("tcp", "tls")}
 
 
 def _config(mode: Literal["router", "client"], settings: dict[str, Any]) -> zenoh.Config:
@@ -65,7 +68,7 @@ class ZenohBus:
         self._session = session
         self._declared: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
-        self._queriers: dict[tuple[str, float], zenoh.Querier] = {}
+        self._queriers: dict[_Manner, zenoh.Querier] = {}
         self._declaring = threading.Lock()
         self._turns: list[_Turns] = []
 
@@ -78,6 +81,8 @@ class ZenohBus:
         """
         check_endpoint(endpoint)
         settings = {"listen/endpoints": [endpoint], **identity.settings}
+        if not is_local(endpoint):
+            settings |= _OVER_NETWORKS
         try:
             return cls(zenoh.open(_config("router", settings)))
         except zenoh.ZError as error:
@@ -133,17 +138,23 @@ class ZenohBus:
         self, key: str, payload: bytes, timeout_s: float
     ) -> Callable[[], bytes | None]:
         """Query ``key``; the replies wait in a channel."""
-        replies = self._querier(key, timeout_s).get(payload=payload)
-        return lambda: next((bytes(each.ok.payload) for each in replies if each.ok), None)
+        return self._query(_Manner(key, timeout_s, gives_way=False), payload)
 
-    def _querier(self, key: str, timeout_s: float) -> zenoh.Querier:
-        """Declare it once, whoever asks first: one that is forgotten takes its replies with it."""
+    def fetch(self, key: str, timeout_s: float) -> bytes | None:
+        """Query ``key``; the reply has the low priority of its query."""
+        return self._query(_Manner(key, timeout_s, gives_way=True), b"")()
+
+    def _query(self, manner: "_Manner", payload: bytes) -> Callable[[], bytes | None]:
+        """Query by a querier that is kept: one that is dropped takes its replies with it."""
         with self._declaring:
-            if (key, timeout_s) not in self._queriers:
-                self._queriers[key, timeout_s] = self._session.declare_querier(
-                    key, timeout=timeout_s
+            if manner not in self._queriers:
+                self._queriers[manner] = self._session.declare_querier(
+                    manner.key,
+                    timeout=manner.timeout_s,
+                    priority=zenoh.Priority.DATA_LOW if manner.gives_way else zenoh.Priority.DATA,
                 )
-            return self._queriers[key, timeout_s]
+        replies = self._queriers[manner].get(payload=payload)
+        return lambda: next((bytes(each.ok.payload) for each in replies if each.ok), None)
 
     def answer(self, key: str, handler: Answer) -> None:
         """Declare a queryable on ``key``."""
@@ -227,6 +238,14 @@ class ZenohBus:
     def _close(self) -> None:
         with suppress(zenoh.ZError):  # what it has given up is closed all the same
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Manner(NamedTuple):
+    """How to ask."""
+
+    key: str
+    timeout_s: float
+    gives_way: bool
 
 
 class _Turns:

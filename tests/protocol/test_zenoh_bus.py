@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -51,6 +51,56 @@ def ask_until_answered(bus: ZenohBus, key: str, payload: bytes) -> bytes:
         assert time.monotonic() < end, "never answered"
         threading.Event().wait(0.01)
     return answer
+
+
+class Way:
+    """A way to an endpoint, which is closed for what comes back after so many bytes.
+
+    Attributes:
+        endpoint: Of the near end.
+        closes_at: After so many bytes it waits until it ``is_open`` again.
+        carried: Bytes that came back.
+        is_closed: Set when it waits.
+    """
+
+    def __init__(self, endpoint: str) -> None:
+        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+        self._there = (host, int(port))
+        self._here = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._here.getsockname()[1]}"
+        self.closes_at, self.carried = sys.maxsize, 0
+        self.is_closed, self.is_open = threading.Event(), threading.Event()
+        self._stack = ExitStack()
+
+    def __enter__(self) -> "Way":
+        threads = self._stack.enter_context(ThreadPoolExecutor(3))
+        self._stack.enter_context(self._here)
+        threads.submit(self._serve, threads)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.is_open.set()
+        self._stack.close()
+
+    def _serve(self, threads: ThreadPoolExecutor) -> None:
+        near, _ = self._here.accept()
+        far = socket.create_connection(self._there)
+        threads.submit(self._carry, near, far)
+        threads.submit(self._carry_back, far, near)
+
+    def _carry(self, near: socket.socket, far: socket.socket) -> None:
+        with near, far, suppress(OSError):
+            while data := near.recv(1 << 16):
+                far.sendall(data)
+
+    def _carry_back(self, far: socket.socket, near: socket.socket) -> None:
+        with near, far, suppress(OSError):
+            while data := far.recv(1 << 16):
+                if self.carried >= self.closes_at:
+                    self.is_closed.set()
+                    self.is_open.wait()
+                near.sendall(data)
+                self.carried += len(data)
 
 
 @pytest.mark.parametrize(
@@ -249,6 +299,35 @@ def test_a_peer_that_reads_no_more_does_not_keep_us_from_closing(endpoint: str) 
             assert [each.daemon for each in threading.enumerate() if each.name == "close"] == [True]
         finally:
             process.kill()
+
+
+def test_what_is_fetched_lets_others_pass(endpoint: str) -> None:
+    """Also those who ask later, on a way where it would take long."""
+    is_asked, size = threading.Event(), 32 << 20
+
+    def small(question: bytes) -> bytes:
+        is_asked.set()
+        return question
+
+    with (
+        closing(ZenohBus.listen(endpoint)) as learner,
+        Way(endpoint) as way,
+        closing(connect(way.endpoint)) as actor,
+        ThreadPoolExecutor() as thread,
+    ):
+        learner.answer("a2s/r/large", lambda _: bytes(size))
+        learner.answer("a2s/r/small", small)
+        ask_until_answered(actor, "a2s/r/small", b"")
+        is_asked.clear()
+        way.closes_at = way.carried + (1 << 20)
+        large = thread.submit(actor.fetch, "a2s/r/large", DEADLINE_S)
+        assert way.is_closed.wait(DEADLINE_S)
+        answer = actor.begin_asking("a2s/r/small", b"s", DEADLINE_S)
+        assert is_asked.wait(DEADLINE_S)
+        way.is_open.set()
+        assert answer() == b"s"
+        assert way.carried < size // 2
+        assert large.result(DEADLINE_S) == bytes(size)
 
 
 def test_a_unix_socket_will_do(tmp_path: Path) -> None:
