@@ -19,11 +19,13 @@ from a2s.learner.initial import begin_with
 from a2s.learner.learner import Learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.update import OffPolicy
+from a2s.learner.off_policy_processes import Leading
 from a2s.learner.off_policy_trainer import AnyReplay, OffPolicyTrainer
 from a2s.learner.on_policy_trainer import OnPolicyTrainer
 from a2s.learner.other_replay import OtherReplay, ReplayFeed
 from a2s.learner.own_replay import OwnReplay
 from a2s.learner.prior import open_prior
+from a2s.learner.processes import Processes
 from a2s.learner.replay.remote import ServedReplay
 from a2s.learner.run import checkpoint, saver
 from a2s.learner.run.config import Configuration
@@ -51,6 +53,7 @@ def make_learner(
     view: View,
     resume: bool,
     mark: int,
+    processes: Processes | None = None,
 ) -> Learner:
     """Make the learner of a run with actors.
 
@@ -58,6 +61,7 @@ def make_learner(
     parts of an observation, in the order of its numbers; ``episode_limit`` is of the environment's
     steps, if it has one. With ``resume`` it goes on with the newest
     checkpoint in ``path``. ``mark`` is of 32 random bits, which tell it from other learners.
+    ``processes`` share its work.
 
     Raises:
         RunDirectoryError: ``path`` cannot be written, or resumed.
@@ -79,7 +83,7 @@ def make_learner(
     if isinstance(hyper, OffPolicyConfig):
         trainer, store = make_off_policy(
             run, spaces, hyper, path, ledger, metadata, metrics, learned,
-            again=records is not None,
+            again=records is not None, processes=processes,
         )  # fmt: skip
     else:
         trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
@@ -151,6 +155,7 @@ def make_replay_learner(
     metrics: LearnerMetrics,
     view: View,
     resume: bool,
+    processes: Processes | None = None,
 ) -> Learner:
     """Make a learner without actors, which learns off-policy from another run's replay.
 
@@ -165,7 +170,7 @@ def make_replay_learner(
     source = OtherReplay(replay, size, max_size, spaces, hyper, run.seed, metrics)
     kind = f"off-policy on {run.env} from a replay"
     saved = checkpoint.load(path / "checkpoints", kind=kind) if resume else None
-    algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved))
+    algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved), processes)
     metadata = policy_metadata(run, spaces)
     trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
     _begin(trainer, configuration, saved)
@@ -204,6 +209,7 @@ def make_off_policy(
     saved: Saved | None,
     *,
     again: bool = False,
+    processes: Processes | None = None,
 ) -> tuple[OffPolicyTrainer, OwnReplay]:
     """Make the trainer and the replay of a run in a directory.
 
@@ -214,7 +220,7 @@ def make_off_policy(
             do not fit.
         UsageError: The hyperparameters contradict each other.
     """
-    algorithm, updates = _off_policy(run, spaces, hyper, saved)
+    algorithm, updates = _off_policy(run, spaces, hyper, saved, processes)
     state = saved[1] if saved else None
     prior = open_prior(run, spaces, hyper.batch_rows, state)
     if prior is not None:
@@ -228,10 +234,18 @@ def make_off_policy(
 
 
 def _off_policy(
-    run: RunConfig, spaces: Spaces, hyper: OffPolicyConfig, saved: Saved | None
+    run: RunConfig,
+    spaces: Spaces,
+    hyper: OffPolicyConfig,
+    saved: Saved | None,
+    processes: Processes | None,
 ) -> tuple[OffPolicy, int]:
     """Make the algorithm in the state to go on from, after this number of updates."""
-    algorithm = OffPolicy(spaces.obs_size, spaces.action_size, hyper, run.seed, run.device)
+    sizes = spaces.obs_size, spaces.action_size
+    if processes is None:
+        algorithm = OffPolicy(*sizes, hyper, run.seed, run.device)
+    else:
+        algorithm = Leading(*sizes, hyper, run.seed, processes)
     if saved is None:
         return algorithm, 0
     algorithm.load(saved[0])

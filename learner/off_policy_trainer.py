@@ -168,7 +168,7 @@ class OffPolicyTrainer:
 
     def begin_with(self, saved: Saved, taken: Sequence[str]) -> None:
         """Take parts of another run's state; actors then play them from the beginning."""
-        self._algorithm.train_state.begin_with(saved[0], taken)
+        self._algorithm.begin_with(saved[0], taken)
         self._knows = True
 
     def state(self) -> Saved:

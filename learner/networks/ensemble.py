@@ -102,6 +102,8 @@ class Ensemble:
             raise ValueError(f"found {count} inputs, a trunk gives the gradient of {form.late}")
         weight = self.weights.weight[form.first.index]
         weight = weight[..., weight.shape[-2] - count :, :]
+        if count == 1 and weight.dtype != torch.bfloat16:
+            return (grad * weight).sum(-1, keepdim=True)  # the same for each number of members
         return product(grad.to(weight.dtype), weight.mT).to(self.value.dtype)
 
     def score(self, obs: Tensor, action: Tensor) -> Tensor:

@@ -47,6 +47,11 @@ class Weights(NamedTuple):
     bias: list[Tensor]
     norms: list[Affine]
 
+    def all(self) -> list[Tensor]:
+        """Every tensor once, in an order of its own."""
+        gains, offsets = ([getattr(x, name) for x in self.norms] for name in ("gain", "offset"))
+        return [*self.weight, *self.bias, *gains, *offsets]
+
     def pick(self, members: Tensor) -> "Weights":
         """Those of some members by their numbers, int64 ``[N]``: gathered, not views."""
         return Weights(

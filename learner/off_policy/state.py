@@ -9,15 +9,18 @@ from a2s.learner.networks.adam import Adam
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.networks.form import Form
 from a2s.learner.networks.normaliser import Normaliser
-from a2s.learner.networks.stored import check_tensors
+from a2s.learner.networks.peers import ALONE, Peers, part_of, whole_of
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.return_size import ReturnSize
+
+_OF_CRITICS = ("critics", "targets", "adam.critics.first", "adam.critics.second")
 
 
 class TrainState:
     """Networks, their optimisers, the temperature and the normalisers.
 
-    ``generator`` draws the first weights, on the CPU.
+    ``generator`` draws the first weights, on the CPU. Of the critics, with all that belongs to
+    them, it has this process's part alone.
 
     Attributes:
         normaliser: Of the observations.
@@ -37,6 +40,7 @@ class TrainState:
         hyper: OffPolicyConfig,
         generator: torch.Generator,
         device: torch.device,
+        peers: Peers = ALONE,
     ) -> None:
         def make(sizes: tuple[int, ...], members: int, late: int = 0) -> Ensemble:
             form = Form(
@@ -46,9 +50,12 @@ class TrainState:
                 layer_norm=hyper.layer_norm,
                 late=late,
             )
-            first = form.draw(members, generator).to(device)
-            return Ensemble(form, first, bf16=hyper.precision == "bf16")
+            first = form.draw(members, generator)
+            if members > 1:
+                first = part_of(form, first, peers.own(members))
+            return Ensemble(form, first.to(device), bf16=hyper.precision == "bf16")
 
+        self._peers, self._num_critics = peers, hyper.num_critics
         self.normaliser = Normaliser(obs_size, enabled=hyper.norm_obs, quiets_rare=True).to(device)
         self.return_size = ReturnSize(enabled=hyper.norm_return, device=device)
         self.policy = make((obs_size, *hyper.policy_sizes, 2 * action_size), 1)
@@ -100,27 +107,46 @@ class TrainState:
             found |= {f"adam.{name}.{key}": each for key, each in adam.tensors().items()}
         return found
 
+    def state(self) -> dict[str, Tensor]:
+        """Copies of all of it, as one process alone has it; asked in all at once."""
+        return {name: self._whole(name, tensor) for name, tensor in self.tensors().items()}
+
+    def shapes(self) -> dict[str, Tensor]:
+        """Tensors of the shapes of `state`, of which nothing but that is to be read."""
+        whole = torch.empty(self._num_critics * self.critics.form.length, device="meta")
+        return self.tensors() | dict.fromkeys(_OF_CRITICS, whole)
+
+    def all_critics(self) -> Ensemble:
+        """Those of all processes, valid until the next update; asked in all at once."""
+        if self._peers is ALONE:
+            return self.critics
+        return Ensemble(self.critics.form, self._whole("critics", self.critics.value))
+
     def begin_with(self, stored: dict[str, Tensor], taken: Sequence[str]) -> None:
-        """Take networks, ``log_temperature`` or ``normaliser`` of another run's `tensors`.
+        """Take networks, ``log_temperature`` or ``normaliser`` of another run's `state`.
 
         With the critics goes the size of returns, which is their unit.
         """
         parts = {*taken, *(["return_size"] if "critics" in taken else [])}
         for name, tensor in self.tensors().items():
             if name.partition(".")[0] in parts:
-                tensor.copy_(stored[name])
+                tensor.copy_(self._part(name, stored[name]))
         for ensemble in (self.policy, self.critics, self.targets):
             ensemble.refresh()
 
     def load(self, stored: dict[str, Tensor]) -> None:
-        """Overwrite all of it.
-
-        Raises:
-            RunDirectoryError: A tensor is missing or has another shape.
-        """
-        present = self.tensors()
-        check_tensors(stored, present)
-        for name, tensor in present.items():
-            tensor.copy_(stored[name])
+        """Overwrite all of it by a `state` that fits."""
+        for name, tensor in self.tensors().items():
+            tensor.copy_(self._part(name, stored[name]))
         for ensemble in (self.policy, self.critics, self.targets):
             ensemble.refresh()
+
+    def _whole(self, name: str, tensor: Tensor) -> Tensor:
+        if name in _OF_CRITICS and self._peers is not ALONE:
+            return whole_of(self.critics.form, tensor, self._peers)
+        return tensor.clone()
+
+    def _part(self, name: str, whole: Tensor) -> Tensor:
+        if name not in _OF_CRITICS:
+            return whole
+        return part_of(self.critics.form, whole, self._peers.own(self._num_critics))

@@ -6,13 +6,15 @@ number.
 Source: equations 7, 8 and algorithm 2 of the paper.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from a2s.learner.networks.ensemble import score_many
+from a2s.learner.networks.ensemble import Ensemble, score_many
 from a2s.learner.networks.gaussian import log_density
+from a2s.learner.networks.peers import ALONE, Peers
 from a2s.learner.networks.stored import check_tensors
 from a2s.learner.off_policy.acting import (
     OffPolicySuggester,
@@ -69,7 +71,8 @@ class OffPolicy:
             replay.prioritise(stats.error)
 
     An update copies nothing to the host, and has the same shapes every time. ``seed`` is for the
-    first weights and every random choice.
+    first weights and every random choice. ``peers`` have the other critics: what is asked of this
+    object is then asked of theirs alike, and at the same time.
     """
 
     def __init__(
@@ -79,6 +82,7 @@ class OffPolicy:
         hyper: OffPolicyConfig,
         seed: int,
         device: str = "cpu",
+        peers: Peers = ALONE,
     ) -> None:
         self.hyper = hyper
         self.obs_size = obs_size
@@ -87,7 +91,8 @@ class OffPolicy:
         root = torch.Generator().manual_seed(seed)
         networks, noise = torch.randint(2**62, (2,), generator=root).tolist()
         first = torch.Generator().manual_seed(networks)
-        self.train_state = TrainState(obs_size, action_size, hyper, first, self.device)
+        self.train_state = TrainState(obs_size, action_size, hyper, first, self.device, peers)
+        self._peers, self._own = peers, peers.own(hyper.num_critics)
         self._noise = torch.Generator().manual_seed(noise)
         self._wanted_entropy = hyper.entropy_per_action * action_size
 
@@ -123,7 +128,7 @@ class OffPolicy:
         return OffPolicySuggester(
             normaliser=self.train_state.normaliser,
             policy=self.train_state.average if averaged else self.train_state.policy,
-            critics=self.train_state.critics,
+            critics=self.all_critics() if picks else self.train_state.critics,
             action_low=action_low,
             action_high=action_high,
             mode=self.hyper.selection if picks else unjudged,
@@ -165,14 +170,31 @@ class OffPolicy:
             error=fit.error * return_size,
         )
 
+    def all_critics(self) -> Ensemble:
+        """This object's and its peers', valid until the next update."""
+        return self.train_state.all_critics()
+
     def is_finite(self) -> bool:
         """Whether every parameter is a number; waits for the device."""
-        return self.train_state.is_finite()
+        found = torch.tensor([self.train_state.is_finite()], dtype=torch.uint8)
+        return bool(self._peers.gather(found).all())
 
     def state(self) -> dict[str, Tensor]:
         """Copies of everything that `load` needs to go on to the bit."""
-        tensors = {name: tensor.clone() for name, tensor in self.train_state.tensors().items()}
-        return tensors | {"generator.noise": self._noise.get_state()}
+        return self.train_state.state() | {"generator.noise": self._noise.get_state()}
+
+    def begin_with(self, stored: dict[str, Tensor], taken: Sequence[str]) -> None:
+        """Take the parts that are named of another object's `state`."""
+        self.train_state.begin_with(stored, taken)
+
+    def check(self, tensors: dict[str, Tensor]) -> None:
+        """Refuse what `load` cannot take.
+
+        Raises:
+            RunDirectoryError: A tensor is missing or has another shape.
+        """
+        noise = {"generator.noise": self._noise.get_state()}
+        check_tensors(tensors, self.train_state.shapes() | noise)
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Go back to a state of an object made with the same sizes and hyperparameters.
@@ -180,7 +202,7 @@ class OffPolicy:
         Raises:
             RunDirectoryError: A tensor is missing or has another shape.
         """
-        check_tensors(tensors, self.state())
+        self.check(tensors)
         self.train_state.load(tensors)
         self._noise.set_state(tensors["generator.noise"])
 
@@ -206,7 +228,7 @@ class OffPolicy:
             u, normal = u.squeeze(2), normal.squeeze(2)
         groups = len(u)
         joined = torch.cat([obs.expand(groups, -1, -1), u.tanh()], dim=-1)
-        value = state.targets(joined.flatten(0, 1))
+        value = self._peers.gather(state.targets(joined.flatten(0, 1)))
         value = value.view(len(value), groups, len(obs), -1)
         return backup(
             batch.reward,
@@ -223,11 +245,12 @@ class OffPolicy:
         """Regress every critic to the targets; also returns the mean value."""
         critics = self.train_state.critics
         q_value, tape = critics.trace(torch.cat([obs, batch.action], dim=-1))
+        q_value = self._peers.gather(q_value)
         if self.hyper.num_quantiles == 1:
             fit = squared_loss(q_value, target, batch.weight)
         else:
             fit = quantile_loss(q_value, target, batch.weight, self.hyper.kappa)
-        critics.differentiate(tape, fit.grad)
+        critics.differentiate(tape, fit.grad[self._own])
         self.train_state.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
         return fit, q_value.mean()
@@ -250,6 +273,7 @@ class OffPolicy:
         """
         critics = self.train_state.critics
         q_value, tape = critics.trace(torch.cat([obs, action], dim=-1))
+        q_value = self._peers.gather(q_value)
         if self.hyper.num_quantiles > 1:
             grad = torch.full_like(q_value, 1.0 / (len(q_value) * self.hyper.num_quantiles))
             value = q_value.mean((0, 2))
@@ -257,7 +281,8 @@ class OffPolicy:
             least, member = q_value.min(0, keepdim=True)
             grad = torch.zeros_like(q_value).scatter_(0, member, 1.0)
             value = least.flatten()
-        return value, critics.by_input(tape, grad, self.obs_size).sum(0)
+        by_action = critics.by_input(tape, grad[self._own], self.obs_size)
+        return value, self._peers.gather(by_action).sum(0)
 
     def _select(self, obs: Tensor, action: Tensor, critic: Tensor) -> Tensor:
         """Scores ``[N, B, K]`` of suggestions in N groups, ``[N, B, K, A]``, by one critic a group.
@@ -265,4 +290,6 @@ class OffPolicy:
         Observations are normalised, ``[B, D]``; ``critic``, ``[N]``, has the critic of each group.
         """
         critics = self.train_state.critics
-        return score_many(critics.form, critics.weights.pick(critic), obs, action)
+        here = critics.weights.pick(critic % critics.members)
+        scores = score_many(critics.form, here, obs, action)
+        return self._peers.pick(scores, critic // critics.members)

@@ -14,7 +14,7 @@ from typer.main import get_command
 from a2s import cli
 
 ROOT = doc_pages.ROOT
-FOREIGN = {"--scale", "--build-arg"}  # of docker
+FOREIGN = {"--scale", "--build-arg", "--standalone", "--nproc-per-node"}  # of docker, torchrun
 COMMANDS = [(page, words) for page in doc_pages.PAGES for words in doc_pages.commands(page)]
 
 

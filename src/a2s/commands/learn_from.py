@@ -61,7 +61,7 @@ def learn_from(
             )
         run = replace(configuration.run, env=about.env_id)
         configuration = replace(configuration, run=run)
-        stop, metrics, url = stack.enter_context(place.opened(run))
+        stop, metrics, url, processes = stack.enter_context(place.opened(run))
         title = f"{run.run}: {run.env}"
         view = stack.enter_context(closing(make_view(title, quiet=place.as_json)))
         learner = make_replay_learner(
@@ -74,6 +74,7 @@ def learn_from(
             metrics=metrics,
             view=view,
             resume=place.resume,
+            processes=processes,
         )
         place.write_config(configuration)
         typer.echo(

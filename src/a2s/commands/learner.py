@@ -1,6 +1,7 @@
 """``a2s learner``: one learner of one run, with actors."""
 
 import json
+import logging
 import secrets
 import shlex
 import subprocess
@@ -30,6 +31,7 @@ from a2s.learner.learner import Learner
 from a2s.learner.make import make_learner
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
+from a2s.learner.processes import Processes, joined
 from a2s.learner.run import directory as run_directory
 from a2s.learner.run.config import Configuration, Hyper
 from a2s.learner.run.memory import keep_freed_memory, require_room
@@ -45,6 +47,7 @@ from a2s.protocol.identity import Security, is_local
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
 from a2s.protocol.zenoh_bus import ZenohBus
 
+logger = logging.getLogger(__name__)
 _POLL_S = 0.05
 
 
@@ -74,8 +77,13 @@ class Place:
         return sys.stderr if self.as_json else sys.stdout
 
     @contextmanager
-    def opened(self, run: RunConfig) -> Iterator[tuple[Stop, LearnerMetrics, str]]:
-        """Claim the directory, serve metrics (at the address given) and stop on signals."""
+    def opened(
+        self, run: RunConfig
+    ) -> Iterator[tuple[Stop, LearnerMetrics, str, Processes | None]]:
+        """Claim the directory, serve metrics (at the address given) and stop on signals.
+
+        Other processes of torchrun are met, and share the work where they can.
+        """
         metrics, host = LearnerMetrics(), self.metrics_host
         identity = {"run": run.run, "env_id": run.env, "algo": run.algo, "seed": str(run.seed)}
         metrics.run.info(identity)
@@ -89,7 +97,14 @@ class Place:
                 )
                 url = f"http://{host}:{port}/metrics"
             stack.enter_context(run_directory.claimed(self.path))
-            yield stop, metrics, url
+            processes = stack.enter_context(joined())
+            if processes is not None and (run.variant != "off-policy" or run.device != "cpu"):
+                logger.warning(
+                    "torchrun: %d processes were started, one learns: others can help off-policy "
+                    "on the cpu alone", processes.count,
+                )  # fmt: skip
+                processes = None
+            yield stop, metrics, url, processes
 
     def write_config(self, configuration: Configuration) -> None:
         """Write it only once the run can go on with it: an existing one is resumed by default."""
@@ -141,7 +156,7 @@ def learn(
         return stop.exit_code
     with (
         closing(ZenohBus.listen(endpoint, identity)) as bus,
-        place.opened(run) as (stop, metrics, url),
+        place.opened(run) as (stop, metrics, url, processes),
     ):
         typer.echo(_banner(run, place.path, endpoint, security, url), place.out)
         title = f"{run.run}: {run.algo} on {run.env}"
@@ -158,6 +173,7 @@ def learn(
                     view=view,
                     resume=place.resume,
                     mark=secrets.randbits(MARK_BITS),
+                    processes=processes,
                 )
             except A2SError:
                 run_directory.remove_traces(place.path)

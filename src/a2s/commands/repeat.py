@@ -44,7 +44,7 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
         return stop.exit_code
     with (
         run_directory.claimed(source),
-        place.opened(run) as (stop, metrics, _),
+        place.opened(run) as (stop, metrics, _, processes),
         closing(make_view(f"again: {source}", quiet=place.as_json)) as view,
     ):
         try:
@@ -60,6 +60,7 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
                 view=view,
                 resume=True,
                 mark=0,  # nobody joins it
+                processes=processes,
             )
         except A2SError:
             shutil.rmtree(place.path)

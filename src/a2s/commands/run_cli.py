@@ -1,6 +1,7 @@
 """The command lines of ``a2s learner`` and ``a2s train``."""
 
 import importlib.util
+import os
 import shlex
 from contextlib import closing
 from pathlib import Path
@@ -46,6 +47,11 @@ def learner(
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
+    if os.environ.get("RANK", "0") != "0" and not print_config:  # torchrun: the first has the rest
+        require_learner()
+        from a2s.commands.follow import follow_first
+
+        raise typer.Exit(follow_first())
     given = options.named(context, RUN)
     if replay_from:
         given["variant"] = given["variant"] or "off-policy"
