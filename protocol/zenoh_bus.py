@@ -257,7 +257,7 @@ class _Turns:
         self._key, self._handler, self._refuse = key, handler, refuse
         self._waiting: queue.Queue[zenoh.Query | None] = queue.Queue(at_most)
         self._ended = False
-        self._thread = threading.Thread(target=self._run, name=key)
+        self._thread = threading.Thread(target=self._run, name=key, daemon=True)
         self._thread.start()
 
     def take(self, query: zenoh.Query) -> None:
@@ -271,7 +271,7 @@ class _Turns:
         self._ended = True
         with suppress(queue.Full):  # then the thread does not wait
             self._waiting.put_nowait(None)
-        self._thread.join()
+        self._thread.join(_CLOSE_S)  # or the one who is answered reads nothing
 
     def _run(self) -> None:
         while (query := self._waiting.get()) is not None and not self._ended:

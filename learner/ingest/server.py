@@ -23,6 +23,8 @@ from a2s.protocol.messages import (
 )
 from a2s.protocol.transport import Bus
 
+_MAX_WAITING = 4096  # for weights: as many as a run may have members
+
 
 class Server(Feed):
     """Connects actors with the ingest, and gives them weights.
@@ -56,7 +58,8 @@ class Server(Feed):
         bus, keys = self._bus, self._keys
         bus.watch_presence(keys.live_actor(), self._on_presence)  # who joins has been seen
         bus.answer(keys.notice, lambda _: self._give_newest()[0])
-        bus.answer(keys.weights, lambda _: self._give_newest()[1])
+        # Who reads nothing holds up those who wait for weights, until its link is closed.
+        bus.answer_in_turn(keys.weights, lambda _: self._give_newest()[1], bytes, _MAX_WAITING)
         bus.answer(keys.hello, self._on_hello)
         bus.answer_each(keys.hello_of(), lambda name, payload: self._on_hello(payload, name))
         bus.answer(keys.hello_of_major_1, lambda _: self._on_hello_of_major_1())

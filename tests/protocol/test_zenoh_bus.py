@@ -330,6 +330,26 @@ def test_what_is_fetched_lets_others_pass(endpoint: str) -> None:
         assert large.result(DEADLINE_S) == bytes(size)
 
 
+def test_who_reads_nothing_holds_up_those_alone_who_wait_for_the_same(endpoint: str) -> None:
+    """And nobody who has something to say, if answers are given in turn."""
+    with (
+        closing(ZenohBus.listen(endpoint)) as learner,
+        Way(endpoint) as way,
+        closing(connect(way.endpoint)) as silent,
+        closing(connect(endpoint)) as actor,
+    ):
+        learner.answer_in_turn("a2s/r/large", lambda _: bytes(32 << 20), bytes, 1000)
+        learner.answer("a2s/r/small", lambda question: question)
+        for each in (silent, actor):
+            ask_until_answered(each, "a2s/r/small", b"s")
+        way.closes_at = 0
+        for _ in range(300):  # of which zenoh would have 256 wait
+            silent.begin_asking("a2s/r/large", b"", DEADLINE_S)
+        assert way.is_closed.wait(DEADLINE_S)
+        actor.begin_asking("a2s/r/large", b"", DEADLINE_S)
+        assert actor.ask("a2s/r/small", b"s", timeout_s=DEADLINE_S / 2) == b"s"
+
+
 def test_a_unix_socket_will_do(tmp_path: Path) -> None:
     """On one machine, and for a container's sidecar."""
     endpoint = f"unixsock-stream/{tmp_path}/a2s.sock"
