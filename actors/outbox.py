@@ -15,7 +15,7 @@ from a2s.protocol.errors import MalformedMessageError
 from a2s.protocol.messages import Ack, Segment
 from a2s.protocol.transport import Bus
 
-_ASK_TIMEOUT_S = 3.0
+_ASK_TIMEOUT_S = 5.0
 _BACK_OFF_S = (0.05, 1.0)
 _MAX_BYTES = 256 << 20
 

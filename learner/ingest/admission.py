@@ -10,7 +10,7 @@ from a2s.protocol.fields import Spaces
 from a2s.protocol.generations import start_of
 from a2s.protocol.messages import ENDLESS_STEPS, Hello, Notice, Segment, Verdict, Welcome
 
-_WINDOW = 16
+_WINDOW = 64
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,7 +109,7 @@ def test_a_segment_is_counted_once_however_often_it_is_sent(run: IngestRun) -> N
 def test_of_an_actor_that_sends_several_at_a_time_none_overtakes_another(run: IngestRun) -> None:
     """What did so is not looked at, until a hello says that it is next."""
     welcome = run.join("a", next_seq=0)
-    assert welcome.window == 16
+    assert welcome.window == 64
     verdicts = [run.send(_segment(seq=seq)).verdict for seq in (0, 2, 3, 1, 0, 2)]
     assert verdicts == ["accepted", "unknown", "unknown", "accepted", "duplicate", "accepted"]
     early = run.send(_segment(seq=5))
