@@ -5,7 +5,6 @@ import csv
 import fcntl
 import json
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -62,48 +61,9 @@ def claimed(path: Path) -> Iterator[None]:
         yield
 
 
-def remove_traces(path: Path, *logs: str) -> None:
-    """Remove a directory without a configuration, which would be mistaken for a run.
-
-    If it has other files than a refused learner leaves, and ``logs``, it stays.
-    """
-    if (path / CONFIG).exists() or not path.exists():
-        return
-    for name in (*logs, LOCK, "segments.log"):
-        (path / name).unlink(missing_ok=True)
-    shutil.rmtree(path / "journal", ignore_errors=True)
-    if not any(path.iterdir()):
-        path.rmdir()
-
-
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
     """Write ``summary.json`` of a run directory."""
     write_atomically(path / "summary.json", json.dumps(summary, indent=2).encode())
-
-
-def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
-    """Decide where a run is kept.
-
-    Returns:
-        ``run_dir`` if the user names one; else the newest ``root/run*`` to resume, or the first
-        that is free of ``root/run``, ``root/run-2``, ``root/run-3``...
-
-    Raises:
-        UsageError: There is nothing to resume, or the named directory is in use.
-    """
-    if run_dir is None:
-        numbered = [root / run] + [root / f"{run}-{i}" for i in range(2, 10_000)]
-        if not resume:
-            return next(d for d in numbered if not d.exists())
-        begun = [d for d in numbered if (d / CONFIG).exists()]
-        if not begun:
-            raise UsageError(f"--resume: found no run {run!r} in {root}; start without --resume")
-        return begun[-1]
-    if resume and not (run_dir / CONFIG).exists():
-        raise UsageError(f"--resume: {run_dir} holds no {CONFIG}; name a run directory")
-    if not resume and (run_dir / CONFIG).exists():
-        raise UsageError(f"--run-dir: {run_dir} holds a run; add --resume, or name another")
-    return run_dir
 
 
 class EvaluationRow(NamedTuple):

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 from a2s.learner.run import config as configuration
-from a2s.learner.run import directory as run_directory
+from a2s.learner.run.choice import choose
 from a2s.learner.run.config import Configuration, recovery_of
+from a2s.learner.run.directory import CONFIG
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import MalformedMessageError, UsageError
 
@@ -44,8 +45,8 @@ def configure(
         given["clock"] = "lockstep" if given.pop("lockstep") else "async"
     hyper = configuration.parse_settings(settings or [])
     if resume:
-        path = run_directory.choose(ROOT, given.get("run", "default"), run_dir, resume=True)
-        config = config or path / run_directory.CONFIG
+        path = choose(ROOT, given.get("run", "default"), run_dir, resume=True)
+        config = config or path / CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
     variant = given.get("variant", run_table.get("variant", "on-policy"))
     preset = given.get("preset", run_table.get("preset", "modern"))
@@ -61,7 +62,7 @@ def configure(
         configuration.require_known(config, hyper_table, variant, preset)
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
     if not resume:
-        path = run_directory.choose(ROOT, assembled.run.run, run_dir, resume=False)
+        path = choose(ROOT, assembled.run.run, run_dir, resume=False)
     return assembled, path.absolute()
 
 

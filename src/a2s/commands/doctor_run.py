@@ -9,8 +9,9 @@ from a2s.learner.ingest.ledger import Ledger, Mark
 from a2s.learner.replay import directory as replay
 from a2s.learner.replay import files
 from a2s.learner.run import checkpoint, saver
-from a2s.learner.run.directory import CONFIG, claimed
-from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.learner.run.choice import require_config
+from a2s.learner.run.directory import claimed
+from a2s.protocol.errors import RunDirectoryError
 
 
 def examine_run(path: Path) -> Iterator[Finding]:
@@ -20,8 +21,7 @@ def examine_run(path: Path) -> Iterator[Finding]:
         UsageError: It is not the directory of a run.
         RunDirectoryError: A learner is at work there.
     """
-    if not (path / CONFIG).exists():
-        raise UsageError(f"{path}: holds no {CONFIG}; name a run directory")
+    require_config(path)
     with claimed(path):
         whole = []
         for each in checkpoint.all_of(path / "checkpoints"):

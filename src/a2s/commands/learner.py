@@ -33,6 +33,7 @@ from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.processes import Processes, joined
 from a2s.learner.run import directory as run_directory
+from a2s.learner.run.choice import remove_traces
 from a2s.learner.run.config import Configuration, Hyper
 from a2s.learner.run.memory import keep_freed_memory, require_room
 from a2s.learner.run.metrics import LearnerMetrics
@@ -176,7 +177,7 @@ def learn(
                     processes=processes,
                 )
             except A2SError:
-                run_directory.remove_traces(place.path)
+                remove_traces(place.path)
                 raise
             place.write_config(configuration)
             place.write_endpoint(endpoint)

@@ -34,6 +34,7 @@ from a2s.commands.process import (
 )
 from a2s.learner.numerals import written
 from a2s.learner.run import directory as run_directory
+from a2s.learner.run.choice import remove_traces
 from a2s.learner.run.config import Configuration
 from a2s.learner.run.writing import writing
 from a2s.protocol import passwords
@@ -169,7 +170,7 @@ def _run(
                 started(evaluator_options, other_log, niceness=_NICENESS)
             )
         _wait(learner, actors, evaluator, path, stop)
-    run_directory.remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
+    remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
     # A learner that is still starting, or whose work is done, ends at once.
     is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
     is_stopped = learner.returncode in map(exit_code, SIGNALS)

@@ -1,4 +1,4 @@
-"""The directory of a run: where it is, and what stands in it."""
+"""The directory of a run: what stands in it."""
 
 import json
 import shutil
@@ -8,49 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from a2s.learner.run.directory import RunDirectory, choose, claimed, remove_traces
+from a2s.learner.run.directory import RunDirectory, claimed
 from a2s.learner.run.writing import write_atomically
-from a2s.protocol.errors import RunDirectoryError, UsageError
+from a2s.protocol.errors import RunDirectoryError
 
 NoRoom = Callable[[], AbstractContextManager[None]]
-
-
-def _made(path: Path) -> Path:
-    path.mkdir(parents=True)
-    (path / "config.toml").touch()
-    return path
-
-
-def test_a_run_gets_a_directory_of_its_own(tmp_path: Path) -> None:
-    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop"
-    _made(tmp_path / "hop")
-    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-2"
-    _made(tmp_path / "hop-2")
-    (tmp_path / "hop-3").mkdir()
-    assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-4"
-    assert choose(tmp_path, "hop", None, resume=True) == tmp_path / "hop-2"  # 3 never began
-
-
-def test_a_named_directory_is_never_overwritten(tmp_path: Path) -> None:
-    path = _made(tmp_path / "mine")
-    assert choose(tmp_path, "hop", path, resume=True) == path
-    with pytest.raises(UsageError, match="holds a run; add --resume, or name another"):
-        choose(tmp_path, "hop", path, resume=False)
-
-
-def test_of_a_refused_run_nothing_is_left_and_of_another_everything(tmp_path: Path) -> None:
-    """What is not ours stays, and so does its directory."""
-    for name in ("refused", "begun", "used"):
-        (tmp_path / name / "journal").mkdir(parents=True)
-        (tmp_path / name / "segments.log").touch()
-        (tmp_path / name / "actors.log").touch()
-    (tmp_path / "begun" / "config.toml").touch()
-    (tmp_path / "used" / "notes").touch()
-    for name in ("refused", "begun", "used", "never"):
-        remove_traces(tmp_path / name, "actors.log")
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["begun", "used"]
-    assert len(list((tmp_path / "begun").iterdir())) == 4
-    assert [each.name for each in (tmp_path / "used").iterdir()] == ["notes"]
 
 
 @pytest.mark.parametrize("how", ["deleted", "moved", "another in its place"])
@@ -83,11 +45,6 @@ def test_an_event_that_was_torn_does_not_spoil_the_next_one(tmp_path: Path) -> N
         "start",
         "join",
     ]
-
-
-def test_nothing_to_resume_is_said(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="found no run 'hop'"):
-        choose(tmp_path, "hop", None, resume=True)
 
 
 def test_files_are_continued_and_redone_updates_are_forgotten(tmp_path: Path) -> None:
