@@ -96,11 +96,13 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], S
 
 
 def states(folder: Path) -> list[State]:
-    """Read the states of all checkpoints whose state can be read, the oldest first."""
+    """Read the states of all checkpoints whose state is as it was written, the oldest first."""
     found = []
     for path in all_of(folder):
-        with contextlib.suppress(OSError, ValueError, KeyError, RecursionError):
-            found.append(json.loads((path / _STATE).read_bytes())["state"])
+        with contextlib.suppress(OSError):  # one that is not there is damaged
+            data = (path / _STATE).read_bytes()
+            if _sum(_STATE, data) in (path / _SUMS).read_bytes().splitlines(keepends=True):
+                found.append(json.loads(data)["state"])
     return found
 
 
@@ -140,8 +142,11 @@ def read(path: Path, kind: str | None = None) -> tuple[dict[str, Tensor], State]
 
 def _sums(files: Mapping[str, bytes]) -> bytes:
     """One line for each of tensors and state."""
-    lines = [f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in (_TENSORS, _STATE)]
-    return "".join(lines).encode()
+    return b"".join(_sum(name, files[name]) for name in (_TENSORS, _STATE))
+
+
+def _sum(name: str, data: bytes) -> bytes:
+    return f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
 
 
 def _free(folder: Path, name: str) -> Path:

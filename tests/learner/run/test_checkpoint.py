@@ -104,6 +104,26 @@ def test_no_flipped_byte_is_used(tmp_path: Path) -> None:
     assert checkpoint.load(tmp_path)[1] == STATE
 
 
+@pytest.mark.parametrize("damage", ["flip", "null", "remove", "a folder", "no sums"])
+def test_states_are_those_that_are_as_they_were_written(tmp_path: Path, damage: str) -> None:
+    """A journal is kept for them: a damaged one names no place in it, or a wrong one."""
+    for updates in (1, 2):
+        path, _ = checkpoint.save(tmp_path, updates, TENSORS, {"updates": updates}, kind="k")
+    assert checkpoint.states(tmp_path) == [{"updates": 1}, {"updates": 2}]
+    state = path / "state.json"
+    if damage == "flip":
+        state.write_bytes(state.read_bytes().replace(b"updates", b"updated"))
+    elif damage == "null":
+        state.write_text("null")
+    elif damage == "no sums":
+        (path / "SHA256SUMS").unlink()
+    else:
+        state.unlink()
+    if damage == "a folder":
+        state.mkdir()
+    assert checkpoint.states(tmp_path) == [{"updates": 1}]
+
+
 def test_what_a_kill_left_is_removed_by_the_next(tmp_path: Path) -> None:
     (tmp_path / ".00000001.partial").mkdir()
     checkpoint.save(tmp_path, 2, TENSORS, STATE, kind="k")
