@@ -18,7 +18,9 @@ Made from the code by `make docs`; do not edit. `a2s COMMAND --help` says the sa
 - A number of steps may be written as `1e6`.
 - `--json` prints one JSON object as the last line of standard output, and all else elsewhere.
 - Exit codes: 0 done, 1 failed, 2 a mistake in the command, 128 and its number after a signal
-  (130: Ctrl-C). An error is one line on standard error.
+  (130: Ctrl-C). An error is one line on standard error. Output that cannot be written is a failure,
+  too; where only its reader has gone, as of a pipe into `head`, without that line. `a2s learner`,
+  `a2s actor` and `a2s train` go on without their output.
 
 ## Completion in the shell
 

@@ -10,7 +10,14 @@ import typer
 
 from a2s import __version__
 from a2s.commands import bench_cli, groups, options, replay_cli, results_cli, run_cli
-from a2s.commands.process import EXIT_FAILED, end_on_signals, open_standard_streams
+from a2s.commands.process import (
+    EXIT_FAILED,
+    OutputError,
+    check_streams,
+    end_on_signals,
+    open_standard_streams,
+    outlast_streams,
+)
 from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
@@ -309,9 +316,18 @@ app.command()(bench_cli.bench)
 def main() -> None:
     """Run the command line; what is expected to go wrong is one line on standard error."""
     open_standard_streams()
+    check_streams()
     try:
         with end_on_signals():
-            app()
+            try:
+                app()
+            finally:
+                sys.stdout.flush()
+    except OutputError as error:
+        outlast_streams()  # what is left is written once more when Python ends
+        if not error.is_closed:
+            sys.stderr.write(f"a2s: {error}\n")
+        sys.exit(EXIT_FAILED)
     except A2SError as error:
         sys.stderr.write(f"a2s: {error}\n")
         sys.exit(EXIT_USAGE if isinstance(error, UsageError) else EXIT_FAILED)

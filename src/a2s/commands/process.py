@@ -1,6 +1,7 @@
 """The process of a command: signals, standard streams, logging, ports."""
 
 import contextlib
+import errno
 import logging
 import math
 import os
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any, TextIO, TypeVar, cast
 
-from a2s.protocol.errors import UsageError
+from a2s.protocol.errors import A2SError, UsageError
 
 EXIT_FAILED = 1
 LEARNER_METRICS_PORT, ACTOR_METRICS_PORT = 9464, 9465
@@ -149,8 +150,18 @@ def _signals() -> list[signal.Signals]:
     return [each for each in SIGNALS if not (ignored and each == signal.SIGHUP)]
 
 
-class _Lasting:
-    """A standard stream that may break: then its words are lost, and nothing else happens."""
+class OutputError(A2SError):
+    """Standard output cannot be written; ``is_closed``: whoever read it has gone."""
+
+    def __init__(self, cause: OSError) -> None:
+        super().__init__(
+            f"standard output: {cause.strerror}; make room there, or send it elsewhere"
+        )
+        self.is_closed = cause.errno == errno.EPIPE
+
+
+class _Checked:
+    """A standard stream that is flushed at the end of a line, so that a defect shows here."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -160,26 +171,52 @@ class _Lasting:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, and flush at the end of a line, so that a defect shows here."""
-        try:
+        """Write.
+
+        Raises:
+            OutputError: It cannot be written, and this stream does not outlast that.
+        """
+        with self._watched():
             self._stream.write(text)
             if "\n" in text:
                 self._stream.flush()
-        except (OSError, ValueError):
-            self._lose()
         return len(text)
 
     def flush(self) -> None:
-        """Flush if that is possible."""
-        try:
+        """Flush; raises as `write` does."""
+        with self._watched():
             self._stream.flush()
-        except (OSError, ValueError):
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise OutputError(error) from None
+
+
+class _Lasting(_Checked):
+    """A standard stream that may break: then its words are lost, and nothing else happens."""
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, OutputError):
             self._lose()
 
     def _lose(self) -> None:
         """Have the rest go nowhere, so that what is buffered does not fail again at the end."""
         with contextlib.suppress(OSError, ValueError), open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), self._stream.fileno())
+
+
+def check_streams() -> None:
+    """Have a defect of standard output raise `OutputError`, and one of standard error be nothing.
+
+    Whoever has called this flushes standard output at the end: Python does it too late to tell.
+    """
+    sys.stdout, sys.stderr = cast(TextIO, _Checked(sys.stdout)), cast(TextIO, _Lasting(sys.stderr))
 
 
 def outlast_streams() -> None:
