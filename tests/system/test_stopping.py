@@ -24,12 +24,16 @@ def _train(start: Start, *options: str) -> Command:
     return start("train", *REACH, *FAST, "--run-dir", "run", "--metrics-port", "-1", *options)
 
 
+def _part(train: Command, name: str) -> psutil.Process:
+    """The ``learner`` or the ``actor`` of a training."""
+    parts = psutil.Process(train.process.pid).children()
+    return next(child for child in parts if name in child.cmdline())
+
+
 def _learner(train: Command) -> list[str]:
     """What the learner of a training has mapped into its memory; nothing once it is gone."""
-    for child in psutil.Process(train.process.pid).children():
-        with suppress(psutil.NoSuchProcess):
-            if "learner" in child.cmdline():
-                return [m.path for m in child.memory_maps()]
+    with suppress(psutil.NoSuchProcess, StopIteration):
+        return [m.path for m in _part(train, "learner").memory_maps()]
     return []
 
 
@@ -56,6 +60,27 @@ def test_a_training_whose_learner_is_done_ends(
     assert train.end(number) == 128 + number, train.text()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
     _assert_quiet(train)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "code", "said"),
+    [
+        ("learner", signal.SIGTERM, 143, "stopped     go on with: a2s train --resume"),
+        ("actor", signal.SIGKILL, 1, "a2s: process {pid} was ended by SIGKILL; the actors ended"),
+    ],
+)
+def test_a_training_one_of_whose_parts_is_ended_says_so(
+    start: Start, tmp_path: Path, wait_for: WaitFor, name: str, number: int, code: int, said: str
+) -> None:
+    """A learner that is stopped by itself has the exit code of its signal, and no evaluation."""
+    train = _train(start)
+    began = tmp_path / "run" / "endpoint"
+    wait_for(began.exists, "the training", timeout_s=PATIENCE_S)
+    part = _part(train, name)
+    part.send_signal(number)
+    assert train.process.wait(PATIENCE_S) == code, train.text()
+    assert said.format(pid=part.pid) in train.text()
+    assert not json.loads((tmp_path / "run" / "summary.json").read_text())["finished"]
 
 
 @pytest.mark.long

@@ -120,11 +120,12 @@ def train(
         processes = f"{run.n} process{'es' if run.n > 1 else ''}"
         typer.echo(f"a2s train: {processes} of {each} beside a learner, {cores_here()} cores", out)
         code = _run(starting, actor, evaluator, path, again, stop)
-    if code or not (path / "summary.json").exists():
-        return code or stop.exit_code or EXIT_FAILED
+    is_stopped = code in map(exit_code, SIGNALS)
+    if (code and not is_stopped) or not (path / "summary.json").exists():
+        return stop.exit_code or code or EXIT_FAILED
     summary = json.loads((path / "summary.json").read_text())
     failure: A2SError | None = None
-    if summary["finished"] and not stop.interrupted:
+    if summary["finished"] and not stop.interrupted and not is_stopped:
         try:
             with stop_on_signals() as stop:
                 summary["evaluation"] = _evaluate(path, evaluation, out, stop)
@@ -136,7 +137,7 @@ def train(
         typer.echo(json.dumps(summary))
     if failure is not None:
         raise A2SError(f"the policy was not evaluated: {failure}")
-    return stop.exit_code
+    return stop.exit_code or code
 
 
 def _run(
@@ -152,7 +153,8 @@ def _run(
     An evaluator that fails is missed and no more; without options there is none.
 
     Returns:
-        The exit code of a learner that could not begin, and has said why; else 0.
+        The exit code of the learner: 0, that of a signal, or that of one that could not begin, and
+        has said why.
     """
     with run_directory.claimed(path):
         pass  # refused here, before anything is started, if the learner could not claim it
@@ -172,15 +174,14 @@ def _run(
         _wait(learner, actors, evaluator, path, stop)
     remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
     # A learner that is still starting, or whose work is done, ends at once.
-    is_ended_by_us = stop.interrupted and learner.returncode == -signal.SIGTERM
-    is_stopped = learner.returncode in map(exit_code, SIGNALS)
-    if learner.returncode == 0 or is_stopped or is_ended_by_us:
-        return 0
-    if _starts(path) == before and learner.returncode > 0:
+    if stop.interrupted and learner.returncode == -signal.SIGTERM:
+        return stop.exit_code
+    is_in_order = learner.returncode in (0, *map(exit_code, SIGNALS))
+    if is_in_order or (_starts(path) == before and learner.returncode > 0):
         return learner.returncode
-    raise A2SError(
-        f"the learner ended with code {learner.returncode}; go on from its checkpoint with: {again}"
-    )
+    code, number = learner.returncode, _signal_of(learner)
+    how = f"was ended by {signal.Signals(number).name}" if number else f"ended with code {code}"
+    raise A2SError(f"the learner {how}; go on from its checkpoint with: {again}")
 
 
 def _starts(path: Path) -> bytes:
@@ -197,19 +198,28 @@ def _wait(
             return
         if actors.poll() is not None:
             log = path / ACTORS_LOG
-            raise A2SError(f"{_last_words(log)}; the actors ended, see {log}")
+            raise A2SError(f"{_why(actors, log)}; the actors ended, see {log}")
         if evaluator is not None and evaluator.poll() is not None:
-            evaluator, log = None, path / EVALUATOR_LOG
+            log = path / EVALUATOR_LOG
+            why, evaluator = _why(evaluator, log), None
             typer.echo(
-                f"{_last_words(log)}; the evaluator ended, see {log}; training goes on without it",
-                err=True,
+                f"{why}; the evaluator ended, see {log}; training goes on without it", err=True
             )
 
 
-def _last_words(log: Path) -> str:
+def _why(process: Process, log: Path) -> str:
+    """Say why a process has ended: by a signal, or with its last words, if it had any."""
+    if number := _signal_of(process):
+        return f"process {process.pid} was ended by {signal.Signals(number).name}"
     lines = log.read_text(errors="replace").strip().splitlines()
-    words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "no last words")
-    return words.removeprefix("a2s: ")
+    words = next((x for x in reversed(lines) if x.startswith("a2s: ")), "")
+    return words.removeprefix("a2s: ") or f"exit code {process.returncode} without last words"
+
+
+def _signal_of(process: Process) -> int:
+    """The signal that has ended a process, at once or in order; 0: none."""
+    code = process.returncode
+    return -code if code < 0 else next((each for each in SIGNALS if exit_code(each) == code), 0)
 
 
 @contextmanager
