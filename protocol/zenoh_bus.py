@@ -9,15 +9,16 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple
 
 import zenoh
 
 from a2s.protocol import refusal
 from a2s.protocol.endpoint import check_endpoint
-from a2s.protocol.errors import A2SError, RefusedError, UnreachableError, UsageError
+from a2s.protocol.errors import RefusedError, UnreachableError, UsageError
+from a2s.protocol.handler_log import HandlerLog
 from a2s.protocol.identity import ANYBODY, Identity, is_local
 from a2s.protocol.transport import Answer, AnswerEach, OnEach, OnMessage, OnPresence
 
@@ -71,6 +72,7 @@ class ZenohBus:
         self._queriers: dict[_Manner, zenoh.Querier] = {}
         self._declaring = threading.Lock()
         self._turns: list[_Turns] = []
+        self._log = HandlerLog(time.monotonic)
 
     @classmethod
     def listen(cls, endpoint: str, identity: Identity = ANYBODY) -> "ZenohBus":
@@ -167,7 +169,7 @@ class ZenohBus:
         """
 
         def on_query(query: zenoh.Query) -> None:
-            _answer(key, lambda payload: handler(_last(query.key_expr), payload), query)
+            _answer(key, lambda payload: handler(_last(query.key_expr), payload), query, self._log)
 
         self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 
@@ -175,7 +177,7 @@ class ZenohBus:
         self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
     ) -> None:
         """Declare a queryable on ``key`` that never blocks what zenoh receives."""
-        turns = _Turns(key, handler, refuse, at_most)
+        turns = _Turns(key, handler, refuse, at_most, self._log)
         self._turns.append(turns)
         self._declared.append(self._session.declare_queryable(key, turns.take, complete=True))
 
@@ -191,7 +193,7 @@ class ZenohBus:
         """Declare a subscriber on ``key``; the handler gets the last part of a message's key."""
 
         def on_sample(sample: zenoh.Sample) -> None:
-            with _logged(key):
+            with self._log.of(key):
                 handler(_last(sample.key_expr), bytes(sample.payload))
 
         self._declared.append(self._session.declare_subscriber(key, on_sample))
@@ -210,7 +212,7 @@ class ZenohBus:
         """Subscribe to liveliness tokens, those that are there already included."""
 
         def on_token(sample: zenoh.Sample) -> None:
-            with _logged(key):
+            with self._log.of(key):
                 handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         self._declared.append(
@@ -252,9 +254,14 @@ class _Turns:
     """Questions that wait for a handler."""
 
     def __init__(
-        self, key: str, handler: Answer, refuse: Callable[[], bytes], at_most: int
+        self,
+        key: str,
+        handler: Answer,
+        refuse: Callable[[], bytes],
+        at_most: int,
+        log: HandlerLog,
     ) -> None:
-        self._key, self._handler, self._refuse = key, handler, refuse
+        self._key, self._handler, self._refuse, self._log = key, handler, refuse, log
         self._waiting: queue.Queue[zenoh.Query | None] = queue.Queue(at_most)
         self._ended = False
         self._thread = threading.Thread(target=self._run, name=key, daemon=True)
@@ -264,7 +271,7 @@ class _Turns:
         try:
             self._waiting.put_nowait(query)
         except queue.Full:
-            _answer(self._key, lambda _: self._refuse(), query)
+            _answer(self._key, lambda _: self._refuse(), query, self._log)
 
     def end(self) -> None:
         """Answer no more; the one that is being answered comes to its end."""
@@ -275,11 +282,11 @@ class _Turns:
 
     def _run(self) -> None:
         while (query := self._waiting.get()) is not None and not self._ended:
-            _answer(self._key, self._handler, query)
+            _answer(self._key, self._handler, query, self._log)
 
 
-def _answer(key: str, handler: Answer, query: zenoh.Query) -> None:
-    with query, _logged(key):
+def _answer(key: str, handler: Answer, query: zenoh.Query, log: HandlerLog) -> None:
+    with query, log.of(key):
         answer = handler(b"" if query.payload is None else bytes(query.payload))
         if answer is not None:
             query.reply(query.key_expr, answer)
@@ -328,16 +335,6 @@ def _try(endpoint: str, identity: Identity, settings: dict[str, Any]) -> zenoh.S
             f"{endpoint}: what listens there does not let {who} in; expected {expected}"
         )
     return None
-
-
-@contextmanager
-def _logged(key: str) -> Iterator[None]:
-    try:
-        yield
-    except A2SError as error:
-        logger.error("%s", error)  # noqa: TRY400  # its one line says all
-    except Exception:  # zenoh's thread would print it and go on; it belongs in our log
-        logger.exception("handler failed key=%s", key)
 
 
 def _last(key: zenoh.KeyExpr) -> str:

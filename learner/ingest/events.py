@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-_WINDOW_S = 60.0
-_FEW, _MANY = 10, 600
-_MOST = {"refusal": _FEW, "trouble": _MANY, "join": _MANY, "leave": _MANY, "restart": _MANY}
+from a2s.protocol.allowance import FEW, MANY, Allowance
+
+_MOST = {"refusal": FEW, "trouble": MANY, "join": MANY, "leave": MANY, "restart": MANY}
 
 
 class Events:
@@ -14,19 +14,14 @@ class Events:
     """
 
     def __init__(self, on_event: Callable[..., None], clock: Callable[[], float]) -> None:
-        self._on_event, self._clock = on_event, clock
-        self._windows: dict[tuple[str, str], tuple[float, int]] = {}  # its begin, events in it
+        self._on_event, self._clock, self._allowance = on_event, clock, Allowance()
 
     def __call__(self, kind: str, cause: str = "", **details: object) -> bool:
         """Pass an event on, unless there were too many; there are few causes of a kind."""
-        now_s, most = self._clock(), _MOST[kind]
-        begin_s, count = self._windows.get((kind, cause), (now_s, 0))
-        if now_s - begin_s >= _WINDOW_S:
-            if count > most:
-                details["left_out"] = count - most
-            begin_s, count = now_s, 0
-        self._windows[kind, cause] = begin_s, count + 1
-        if count >= most:
+        left_out = self._allowance.take((kind, cause), _MOST[kind], self._clock())
+        if left_out is None:
             return False
+        if left_out:
+            details["left_out"] = left_out
         self._on_event(kind, **details)
         return True

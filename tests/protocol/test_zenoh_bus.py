@@ -17,7 +17,7 @@ from queue import SimpleQueue
 import pytest
 
 from a2s.protocol import zenoh_bus
-from a2s.protocol.errors import UnreachableError, UsageError
+from a2s.protocol.errors import MalformedMessageError, UnreachableError, UsageError
 from a2s.protocol.zenoh_bus import ZenohBus
 
 DEADLINE_S = 20.0
@@ -355,3 +355,24 @@ def test_a_unix_socket_will_do(tmp_path: Path) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/a2s.sock"
     with closing(listen(endpoint)), closing(connect(endpoint)) as actor:
         assert ask_until_answered(actor, HELLO, b"1") == b"1"
+
+
+def test_junk_from_the_network_fills_no_log(
+    endpoint: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    came: SimpleQueue[bytes] = SimpleQueue()
+
+    def refuse(payload: bytes) -> None:
+        came.put(payload)
+        raise MalformedMessageError("junk")
+
+    with closing(listen(endpoint)) as learner, closing(connect(endpoint)) as actor:
+        actor.subscribe("a2s/r/notice", refuse)
+        while came.empty():  # until the subscription is known there
+            learner.publish("a2s/r/notice", b"junk")
+            threading.Event().wait(0.01)
+        for _ in range(100):
+            learner.publish("a2s/r/notice", b"junk")
+        for _ in range(50):
+            came.get(timeout=DEADLINE_S)
+    assert [record.getMessage() for record in caplog.records] == ["junk"] * 10
