@@ -1,4 +1,4 @@
-"""Where a learner listens, as its user writes it."""
+"""Where a learner listens, as its user writes it, and where it is reached from its machine."""
 
 import re
 
@@ -15,3 +15,11 @@ def check_endpoint(endpoint: str) -> None:
             f"endpoint: found {endpoint!r}, expected PROTOCOL/HOST:PORT, "
             "for example tcp/127.0.0.1:7447"
         )
+
+
+def from_here(endpoint: str) -> str:
+    """Where a learner that listens on ``endpoint`` is reached from its own machine.
+
+    All addresses of a machine are no address of it: a certificate cannot be for them.
+    """
+    return endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")

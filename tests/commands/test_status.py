@@ -74,3 +74,21 @@ def test_a_run_directory_says_where_its_learner_is(tmp_path: Path) -> None:
         assert where(tmp_path) == ("hop", "tcp/127.0.0.1:9")
     with pytest.raises(UsageError, match="no learner is at work there"):
         where(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "reached"),
+    [
+        ("tls/0.0.0.0:7447", "tls/127.0.0.1:7447"),
+        ("tls/[::]:7447", "tls/[::1]:7447"),
+        ("tls/10.0.0.0:7447", "tls/10.0.0.0:7447"),
+    ],
+)
+def test_a_learner_on_all_addresses_is_reached_on_one(
+    tmp_path: Path, endpoint: str, reached: str
+) -> None:
+    """Its certificate is for no other."""
+    (tmp_path / "config.toml").write_text("[run]\n")
+    (tmp_path / "endpoint").write_text(endpoint)
+    with claimed(tmp_path):
+        assert where(tmp_path) == ("default", reached)

@@ -18,6 +18,7 @@ from a2s.learner.run import directory as run_directory
 from a2s.learner.run.run_config import COUNTED
 from a2s.protocol.access import ACTOR, LEARNER, VIEWER
 from a2s.protocol.codec import decode
+from a2s.protocol.endpoint import from_here
 from a2s.protocol.errors import UnreachableError
 from a2s.protocol.generations import start_of
 from a2s.protocol.identity import Security, not_heard
@@ -67,13 +68,13 @@ def status(
 
 
 def where(directory: Path) -> tuple[str, str]:
-    """The name of the run in a directory, and where its learner listens.
+    """The name of the run in a directory, and where its learner is reached.
 
     Raises:
         UsageError: It is not the directory of a run with actors.
     """
     options, _ = configuration.read(directory / run_directory.CONFIG)
-    return str(options.get("run", "default")), run_directory.endpoint(directory)
+    return str(options.get("run", "default")), from_here(run_directory.endpoint(directory))
 
 
 def page(told: RunStatus) -> Iterator[str]:
