@@ -1,8 +1,9 @@
 """Repeat the trials of reliability: python benchmarks/reliability/run.py [TRIAL...] [--full].
 
 Each trial is a program of its own, ``reliability.TRIAL``, in a short form unless ``--full``. What
-comes out goes into results.csv, a row for each result, and into the table of README.md. An earlier
-result of the same trial is replaced, unless it was full and this one is not.
+comes out is printed, a line for each result, and goes into results.csv and the table of README.md,
+both beside this file: an earlier result of the same trial is replaced, unless it was full and this
+one is not. With the Python of a checkout: `make setup`, then .venv/bin/python.
 """
 
 import argparse
@@ -101,16 +102,25 @@ def keep(rows: list[Row]) -> None:
     README.write_text(before + BEGIN + table(ordered) + END + rest.split(END)[1])
 
 
+def held(row: Row) -> str:
+    """How often it held, or failed."""
+    if row["failed"] == "0":
+        return f"held {row['count']} times"
+    return f"{row['count']} times, {row['failed']} failed"
+
+
+def line_of(row: Row) -> str:
+    """A result for who waits for it."""
+    first = row["first_failure"] and f"; first: {row['first_failure']}"
+    return f"{row['trial']}: {held(row)}{first}"
+
+
 def table(rows: list[Row]) -> str:
     """The results as a table of Markdown."""
     lines = ["| trial | must hold | options | result | commit |", "|---|---|---|---|---|"]
     for row in rows:
-        held = (
-            f"{row['count']} times, {row['failed']} failed"
-            if row["failed"] != "0"
-            else f"held {row['count']} times"
-        )
-        parts = [held, row["figures"], row["first_failure"] and f"first: {row['first_failure']}"]
+        first = row["first_failure"] and f"first: {row['first_failure']}"
+        parts = [held(row), row["figures"], first]
         result = ". ".join(filter(None, parts)).replace("|", "\\|").replace("\n", " ")
         length = "full" if row["full"] == "True" else "short"
         command = f"{length}: `{row['program']} {row['options']}`"
@@ -129,6 +139,8 @@ def main() -> None:
     for program in options.trials or TRIALS:
         rows = run(program, TRIALS[program][options.full], full=options.full)
         keep(rows)
+        sys.stdout.writelines(f"{line_of(row)}\n" for row in rows)
+        sys.stdout.flush()
         failed |= any(row["failed"] != "0" for row in rows)
     sys.exit(failed)
 

@@ -1,13 +1,15 @@
 """The trials of reliability in their short form: what they look for does not happen."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from reliability import run
 from reliability.fuzz import decoded
-from reliability.run import COLUMNS, TRIALS, table
+from reliability.run import COLUMNS, TRIALS, line_of, table
 from reliability.soak import line
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -36,6 +38,24 @@ def test_a_result_is_a_row_that_says_whether_it_was_full_and_what_failed() -> No
     last = table([row]).splitlines()[-1]
     assert "short: `kills " in last
     assert "5 times, 1 failed. first: a \\| b" in last
+    assert line_of(row | {"trial": "kill"}) == "kill: 5 times, 1 failed; first: a | b"
+
+
+def test_a_short_result_is_told_and_leaves_the_row_of_a_full_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = run.README.read_text()
+    for name in ("RESULTS", "README"):
+        kept = tmp_path / name
+        shutil.copy(getattr(run, name), kept)
+        monkeypatch.setattr(run, name, kept)
+    monkeypatch.setitem(TRIALS, "fuzz", ("--decode 100 --live 0", ""))
+    monkeypatch.setattr(sys, "argv", ["run.py", "fuzz"])
+    with pytest.raises(SystemExit) as ended:
+        run.main()
+    assert not ended.value.code
+    assert capsys.readouterr().out == "fuzz, decode: held 100 times\n"
+    assert (tmp_path / "README").read_text() == before
 
 
 @pytest.mark.long
