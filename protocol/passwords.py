@@ -4,28 +4,35 @@ A file has a line ``USER:PASSWORD`` for each user; a user is named as in `a2s.pr
 learner's file has those of all peers; a peer needs the line of one.
 """
 
+import logging
 import os
+import stat
 from pathlib import Path
 
 from a2s.protocol.access import LEARNER, NAMES, role_of
 from a2s.protocol.errors import UsageError
 
+logger = logging.getLogger(__name__)
+
 VARIABLE = "A2S_PASSWORD"
 
 
 def users(path: Path) -> dict[str, str]:
-    """Read a file: passwords by user.
+    """Read a file: passwords by user. One that others may read is used, with a warning.
 
     Raises:
         UsageError: It cannot be read, or a line is something else. No message has a password.
     """
     try:
         lines = path.read_text().splitlines()
+        is_open = path.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text"
         raise UsageError(
             f"--password-file: {path}: {reason}; name a file with lines USER:PASSWORD"
         ) from None
+    if is_open:
+        logger.warning("--password-file: %s: others may read it; chmod 600 %s", path, path)
     found: dict[str, str] = {}
     for number, line in enumerate(lines, 1):
         user, password = _user(line, f"--password-file: {path}, line {number}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from a2s.protocol import passwords
 from a2s.protocol.certificates import Authority
 from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security, is_local
@@ -186,6 +187,17 @@ def test_a_peer_takes_the_first_user_of_its_role(
     assert own.peer("viewer").name == "viewer"
     with pytest.raises(UsageError, match=r"^A2S_PASSWORD: found user 'actor', expected one of vi"):
         Security().peer("viewer")
+
+
+@pytest.mark.parametrize(("mode", "warns"), [(0o600, False), (0o640, True), (0o644, True)])
+def test_a_file_of_passwords_that_others_may_read_is_told_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, mode: int, warns: bool
+) -> None:
+    (tmp_path / "users").write_text("actor:secret\n")
+    (tmp_path / "users").chmod(mode)
+    assert passwords.users(tmp_path / "users") == {"actor": "secret"}
+    told = f"--password-file: {tmp_path}/users: others may read it; chmod 600 {tmp_path}/users"
+    assert caplog.messages == ([told] if warns else [])
 
 
 def test_a_password_is_shown_nowhere(tmp_path: Path) -> None:
