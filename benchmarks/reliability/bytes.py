@@ -21,6 +21,7 @@ from a2s.learner.replay import directory as replay
 from a2s.learner.run import checkpoint, saver
 from a2s.protocol.errors import A2SError
 
+_AGAIN_S = 20.0  # where steps are lost the learner waits for ever: scripted actors do not go on
 SHORT = {
     "lockstep": {"total_steps": 400, "checkpoint_every_updates": 3},
     "off-policy": {"total_steps": 100, "checkpoint_every_updates": 20},
@@ -52,14 +53,16 @@ class Killed:
             shutil.copytree(left, kept)
         self.words = self.resumed(lambda _: None)[1].words
 
-    def _run(self) -> ScriptedRun:
+    def _run(self, patience_s: float = 60.0) -> ScriptedRun:
+        place = self._place
         return ScriptedRun(
-            self._way, self._place / "faulty" / "run", self._place / "notes", **SHORT[self._way]
-        )
+            self._way, place / "faulty" / "run", place / "notes", patience_s=patience_s,
+            **SHORT[self._way],
+        )  # fmt: skip
 
     def resumed(self, change: Callable[[Path], None]) -> tuple[ScriptedRun, Ended]:
         """Resume a copy of it in which something was changed."""
-        run = self._run()
+        run = self._run(_AGAIN_S)
         for kept, copy in ((self.path, run.path), (self._notes, run.notes)):
             shutil.copytree(kept, copy, dirs_exist_ok=True)
         change(run.path)

@@ -97,11 +97,13 @@ class Ended:
 class ScriptedRun:
     """A run in ``path``, one of `scripted_actors.WAYS`, with other ``options`` if any.
 
-    ``notes`` is a folder outside of it.
+    ``notes`` is a folder outside of it. A start that takes longer than ``patience_s`` is ended.
     """
 
-    def __init__(self, way: str, path: Path, notes: Path, **options: Any) -> None:
-        self.path, self.notes = path, notes
+    def __init__(
+        self, way: str, path: Path, notes: Path, *, patience_s: float = _PATIENCE_S, **options: Any
+    ) -> None:
+        self.path, self.notes, self._patience_s = path, notes, patience_s
         self._options, self._settings = WAYS[way][0] | options, WAYS[way][1]
         for each in (path, notes):
             shutil.rmtree(each, ignore_errors=True)
@@ -122,7 +124,7 @@ class ScriptedRun:
         return learned(self.path)
 
     def _learn(self, *, resume: bool) -> None:
-        exchange, deadline_s = Exchange(), time.monotonic() + _PATIENCE_S
+        exchange, deadline_s = Exchange(), time.monotonic() + self._patience_s
         for slot in range(ACTORS):
             LastingActor(slot, self.notes / f"actor-{slot}").connect(exchange)
         options = {"env": "Test-v0", "n": ACTORS, "envs": ENVS, **self._options}
@@ -133,7 +135,7 @@ class ScriptedRun:
         place.write_config(configuration)
         summary = learner.run(lambda: time.monotonic() > deadline_s)
         if not summary["finished"]:
-            raise AssertionError(f"hangs: {_PATIENCE_S:.0f} s went by")
+            raise AssertionError(f"hangs: {self._patience_s:.0f} s went by")
 
 
 def _place(path: Path) -> Any:
