@@ -26,7 +26,7 @@ State = dict[str, Any]
 logger = logging.getLogger(__name__)
 
 _MAX_KEPT = 3
-_FORMAT = 8
+_FORMAT = 9
 _TENSORS, _STATE, _SUMS = "tensors.safetensors", "state.json", "SHA256SUMS"
 
 

@@ -8,9 +8,9 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table
+from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table, reading
 from a2s.learner.run.writing import open_lines, write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError, UsageError
 from a2s.protocol.generations import MAX_STARTS
@@ -111,6 +111,9 @@ class RunDirectory:
         self.path = path
         self._clock = clock
         self._starts = _read_starts(path / "generation")
+        for table in (path / EPISODES, path / UPDATES):
+            if table.exists():
+                header(table)  # refused before any file is open, if it cannot be read
         with writing(path):
             path.mkdir(parents=True, exist_ok=True)
             self._episodes = GrowingTable(path / EPISODES, EPISODE_COLUMNS)
@@ -133,24 +136,11 @@ class RunDirectory:
         Raises:
             RunDirectoryError: A line is not one of this table; all files are closed.
         """
-        path, line = self.path / EPISODES, []
-        columns, metrics = self._episodes.columns, self._episodes.metrics
-        with path.open(newline="") as file:
-            lines = csv.reader(file)
-            try:
-                for line in lines:
-                    if lines.line_num > 1:
-                        row = dict(zip(columns, line, strict=True))
-                        told = {n: float(row[n]) for n in metrics if row[n]}
-                        yield float(row["wall_s"]), float(row["return"]), int(row["length"]), told
-                    elif line != columns:
-                        raise ValueError
-            except (ValueError, csv.Error):
-                self.close()
-                raise RunDirectoryError(
-                    f"{path} line {lines.line_num}: found {','.join(line)!r}, expected "
-                    f"{','.join(columns)}; mend it, or begin another run"
-                ) from None
+        try:
+            yield from _episodes(self.path / EPISODES, self._episodes)
+        except RunDirectoryError:
+            self.close()
+            raise
 
     def count_start(self) -> int:
         """Count one more start of the learner; the first is 1."""
@@ -247,7 +237,7 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
     if not table.exists():
         return []
     found = []
-    with _reading(table) as file:
+    with reading(table) as file:
         rows = csv.DictReader(file)
         try:
             for row in rows:
@@ -257,6 +247,8 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
                 )  # fmt: skip
                 if row["mode"] == mode:
                     found.append(each)
+        except UnicodeDecodeError:
+            raise
         except (KeyError, TypeError, ValueError, csv.Error):
             raise RunDirectoryError(
                 f"{table} line {rows.line_num}: expected {','.join(EVALUATION_COLUMNS)}; mend it, "
@@ -265,13 +257,27 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
     return found
 
 
-@contextlib.contextmanager
-def _reading(table: Path) -> Iterator[IO[str]]:
-    try:
-        with table.open(newline="") as file:
-            yield file
-    except OSError as error:
-        raise RunDirectoryError(f"{table}: {error.strerror}") from None
+def _episodes(
+    path: Path, table: GrowingTable
+) -> Iterator[tuple[float, float, int, dict[str, float]]]:
+    columns, line = table.columns, list[str]()
+    with reading(path) as file:
+        lines = csv.reader(file)
+        try:
+            for line in lines:
+                if lines.line_num > 1:
+                    row = dict(zip(columns, line, strict=True))
+                    told = {n: float(row[n]) for n in table.metrics if row[n]}
+                    yield float(row["wall_s"]), float(row["return"]), int(row["length"]), told
+                elif line != columns:
+                    raise ValueError
+        except UnicodeDecodeError:
+            raise
+        except (ValueError, csv.Error):
+            raise RunDirectoryError(
+                f"{path} line {lines.line_num}: found {','.join(line)!r}, expected "
+                f"{','.join(columns)}; mend it, or begin another run"
+            ) from None
 
 
 def _read_starts(path: Path) -> int:

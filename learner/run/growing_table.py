@@ -2,12 +2,15 @@
 
 import csv
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import IO
 
 from a2s.learner.run.writing import open_lines, write_atomically
 from a2s.protocol.checks import MAX_METRICS
+from a2s.protocol.errors import RunDirectoryError
 
 
 class GrowingTable:
@@ -48,7 +51,7 @@ class GrowingTable:
     def _add_columns(self, names: list[str]) -> None:
         """Write the table anew with more columns, empty so far."""
         self._file.close()
-        with self._path.open(newline="") as file:
+        with reading(self._path) as file:
             first, *lines = list(csv.reader(file))
         text = io.StringIO(newline="")
         csv.writer(text).writerows(
@@ -68,15 +71,38 @@ def open_table(path: Path, columns: Sequence[str]) -> IO[str]:
 
 
 def keep_rows(path: Path, count: int) -> None:
-    """Forget the rows of a closed table past this many."""
-    lines = path.read_text().splitlines(keepends=True)
-    write_atomically(path, "".join(lines[: count + 1]).encode())
+    """Forget the rows of a closed table past this many; what is kept stays to the byte."""
+    lines = path.read_bytes().splitlines(keepends=True)
+    write_atomically(path, b"".join(lines[: count + 1]))
 
 
 def header(path: Path) -> list[str]:
-    """Read the columns of a table."""
-    with path.open(newline="") as file:
-        return next(csv.reader(file), [])
+    """Read the columns of a table.
+
+    Raises:
+        RunDirectoryError: They cannot be read.
+    """
+    with reading(path) as file:
+        return next(csv.reader([file.buffer.readline().decode()]), [])
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[TextIOWrapper]:
+    """Open a table for reading.
+
+    Raises:
+        RunDirectoryError: It cannot be read, or has a byte that is not UTF-8.
+    """
+    try:
+        with path.open(newline="") as file:
+            yield file
+    except OSError as error:
+        raise RunDirectoryError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise RunDirectoryError(
+            f"{path}: found the byte 0x{error.object[error.start]:02x}, expected UTF-8; mend it, "
+            "or restore it from a copy"
+        ) from None
 
 
 def column_of(metric: str, columns: Collection[str]) -> str:

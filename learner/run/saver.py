@@ -8,7 +8,7 @@ import numpy as np
 
 from a2s.learner.ingest.journal import Journal, Place
 from a2s.learner.ingest.ledger import Ledger, Mark
-from a2s.learner.run import checkpoint
+from a2s.learner.run import checkpoint, table_mark
 from a2s.learner.run.directory import RunDirectory
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.status import Status
@@ -59,6 +59,7 @@ class Saver:
             "env_steps": status.env_steps,
             "journal": None if journal is None else list(journal.place),
             "ledger": None if self._ledger is None else list(self._ledger.mark()),
+            "tables": table_mark.marks_of(self._directory.path),
             "version": status.version,
             "acting": base64.b64encode(status.acting).decode() if status.is_ahead else "",
             "num_recoveries": status.num_recoveries,
@@ -99,6 +100,9 @@ class Saver:
     def go_on(self, state: dict[str, Any], *, again: bool) -> None:
         """Restore a checkpoint's state; forget later updates, and episodes that come ``again``."""
         status, kept = self._status, state["episodes"] if again else None
+        path = self._directory.path
+        for name in table_mark.changed(path, state["tables"]):
+            logger.warning("%s: %s; %s", path / name, table_mark.CHANGED, table_mark.REMEDY)
         status.acting = base64.b64decode(state["acting"])
         status.is_ahead = bool(status.acting)
         status.version, status.num_recoveries = state["version"], state["num_recoveries"]

@@ -58,6 +58,7 @@ def test_a_replay_that_is_gone_is_missed(make_run: Callable[[str], Path]) -> Non
     ("place", "name", "state"),
     [
         ("checkpoints/*/state.json", "checkpoint", "note"),
+        ("updates.csv", "updates.csv", "note"),
         ("segments.log", "ledger", "fail"),
         ("journal/*", "journal", "fail"),
         ("replay/obs-1.f32", "replay", "fail"),

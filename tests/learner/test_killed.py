@@ -42,13 +42,18 @@ def _require_equal(path: Path, found: dict[str, Any], before: Path, wanted: dict
 @pytest.mark.parametrize("kills", KILLS)
 @pytest.mark.parametrize("way", WAYS)
 def test_kill_and_resume_equal_no_kill(
-    way: str, kills: str, tmp_path: Path, undisturbed: Undisturbed
+    way: str,
+    kills: str,
+    tmp_path: Path,
+    undisturbed: Undisturbed,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Whatever the moment, however often, and whatever tells the learners from others."""
     path, (options, settings) = tmp_path / "run", WAYS[way]
     script = Script(path, options, settings, kill_at=KILLS[kills], mark=7)
     _require_equal(path, script.run(), *undisturbed[way])
     assert "what came since the checkpoint, from which it learns again" in script.told
+    assert "is not what the checkpoint knows" not in caplog.text
 
 
 @pytest.mark.parametrize("way", ["lockstep", "off-policy"])

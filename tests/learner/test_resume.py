@@ -52,6 +52,48 @@ def test_a_file_that_is_not_as_it_was_left_is_named_and_none_is_changed(
     assert _files(tmp_path) == before
 
 
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("updates.csv", 3), ("episodes.csv", 3), ("episodes.csv", -3), ("evaluations.csv", -3)],
+)
+def test_a_byte_that_is_not_utf_8_is_one_line(tmp_path: Path, name: str, place: int) -> None:
+    _learner(tmp_path, resume=False).run(lambda: True)
+    table = bytearray(b"wall_s,env_steps,return_mean,return_std,mode\n1,1,1,1,mean\n")
+    if name != "evaluations.csv":
+        table = bytearray((tmp_path / name).read_bytes())
+        table += ROW.encode() * 1000 if name == "episodes.csv" else b""
+    table[place] = 0xFF
+    (tmp_path / name).write_bytes(table)
+    before = _files(tmp_path)
+    with pytest.raises(RunDirectoryError, match=f"{name}: found the byte 0xff, expected UTF-8; "):
+        _learner(tmp_path, resume=True)
+    assert _files(tmp_path) == before
+
+
+def test_a_table_that_was_changed_is_named_and_the_run_goes_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One line for each, until the next checkpoint knows them as they are now."""
+
+    def resume(*changes: tuple[str, bytes, bytes]) -> list[str]:
+        for name, old, new in changes:
+            whole = (tmp_path / name).read_bytes()
+            assert old in whole
+            (tmp_path / name).write_bytes(whole.replace(old, new, 1))
+        caplog.clear()
+        _learner(tmp_path, resume=True).run(lambda: True)
+        return [line.partition("; ")[0] for line in caplog.messages]
+
+    _learner(tmp_path, resume=False).run(lambda: True)
+    table = "wall_s,env_steps,return_mean,return_std,mode\n1,1,1.5,1,mean\n"
+    (tmp_path / "evaluations.csv").write_text(table)
+    assert resume() == []
+    changes = ("updates.csv", b"update,", b"updote,"), ("evaluations.csv", b"1.5", b"9.5")
+    known = "is not what the checkpoint knows"
+    assert resume(*changes) == [f"{tmp_path / name}: {known}" for name, *_ in changes]
+    assert resume() == []
+
+
 def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path: Path) -> None:
     """The steps that were played in between are not played again."""
     _learner(tmp_path, resume=False).run(lambda: True)

@@ -8,7 +8,7 @@ from a2s.learner.ingest import journal
 from a2s.learner.ingest.ledger import Ledger, Mark
 from a2s.learner.replay import directory as replay
 from a2s.learner.replay import files
-from a2s.learner.run import checkpoint, saver
+from a2s.learner.run import checkpoint, saver, table_mark
 from a2s.learner.run.choice import require_config
 from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import RunDirectoryError
@@ -33,6 +33,8 @@ def examine_run(path: Path) -> Iterator[Finding]:
             yield Finding("checkpoints", "fail", "none is whole", "restore one from a copy")
         known = saver.ledger_mark(whole[-1]) if whole else None
         yield _finding("ledger", lambda: _ledger(path, known))
+        for name in table_mark.changed(path, whole[-1]["tables"] if whole else {}):
+            yield Finding(name, "note", table_mark.CHANGED, table_mark.REMEDY)
         places = [saver.place(state) for state in whole if state["journal"] is not None]
         if places:
             yield _finding("journal", lambda: _journal(path / "journal", places))

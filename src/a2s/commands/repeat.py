@@ -1,6 +1,7 @@
 """``a2s learner --replay-journal``: what a run has learned, once more, without actors."""
 
 import json
+import math
 import shutil
 from contextlib import closing
 from dataclasses import replace
@@ -21,7 +22,12 @@ from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.in_process import Exchange, InProcessBus
 
 _JOURNAL, _CHECKPOINTS, _TENSORS = "journal", "checkpoints", "tensors.safetensors"
-_TAKEN = ("segments.log", run_directory.UPDATES, run_directory.EPISODES)
+_TAKEN = (
+    "segments.log",
+    run_directory.UPDATES,
+    run_directory.EPISODES,
+    run_directory.EVALUATIONS,
+)
 
 
 def repeat(configuration: Configuration, place: Place, describing: Describing, source: Path) -> int:
@@ -37,7 +43,7 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
     """
     if place.path.exists() and any(place.path.iterdir()):
         raise UsageError(f"--run-dir: {place.path} is not empty; name another")
-    run = replace(configuration.run, evaluate_every=0, tensorboard=False)
+    run = replace(configuration.run, evaluate_every=0, stop_at_return=math.inf, tensorboard=False)
     configuration = replace(configuration, run=run)
     described, stop = prepare(configuration, describing, place.out)
     if described is None:

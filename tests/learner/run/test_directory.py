@@ -66,6 +66,17 @@ def test_files_are_continued_and_redone_updates_are_forgotten(tmp_path: Path) ->
     ]
 
 
+def test_a_damaged_byte_in_an_update_is_kept_as_it_is(tmp_path: Path) -> None:
+    """No learner reads it, and what is left of the table is of use."""
+    (tmp_path / "updates.csv").write_bytes(b"update,loss\r\n1,0.\xff\r\n2,0.5\r\n")
+    directory = RunDirectory(tmp_path, ("update", "loss"), lambda: 0.0)
+    directory.keep_updates(1)
+    directory.update({"update": 2, "loss": 0.25})
+    directory.close()
+    table = (tmp_path / "updates.csv").read_bytes()
+    assert table == b"update,loss\r\n1,0.\xff\r\n2,0.25\r\n"
+
+
 def test_a_table_of_updates_keeps_the_columns_that_it_began_with(tmp_path: Path) -> None:
     """A version that has others goes on with it."""
     before = RunDirectory(tmp_path, ("update", "gone", "loss"), lambda: 0.0)
