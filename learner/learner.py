@@ -281,7 +281,7 @@ class Learner:
         if status.is_finished:
             self._count(self._feed.take())
             status.version, status.is_ahead = status.networks_version, False
-        self._saver.try_save()
+        self._saver.save()
         reached = status.summary(self._feed.attendance(), self._saver.latest)
         summary = {"run_dir": str(path), **reached}
         self._directory.event("end", env_steps=status.env_steps)

@@ -9,6 +9,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,6 +28,7 @@ logger = logging.getLogger(__name__)
 
 _MAX_KEPT = 3
 _FORMAT = 9
+_NAME = re.compile(r"[0-9]{8,}(-[0-9]{4,})?")
 _TENSORS, _STATE, _SUMS = "tensors.safetensors", "state.json", "SHA256SUMS"
 
 
@@ -160,7 +162,7 @@ def _free(folder: Path, name: str) -> Path:
 
 def all_of(folder: Path) -> list[Path]:
     """Find the checkpoints in a folder, the newest last."""
-    return sorted(folder.glob("[0-9]*")) if folder.exists() else []
+    return sorted(path for path in folder.glob("[0-9]*") if _NAME.fullmatch(path.name))
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -290,6 +290,11 @@ def _read_starts(path: Path) -> int:
             f"{path}: found {path.read_text(errors='replace')!r}, expected how often the run was "
             "started; write that number there"
         ) from None
+    except OSError as error:
+        raise RunDirectoryError(
+            f"{path}: {error.strerror}, expected a file with how often the run was started; write "
+            "that number there"
+        ) from None
     return starts
 
 

@@ -1,5 +1,6 @@
 """What a learner goes on with: its files as it left them, or it changes none."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,24 @@ def test_a_table_that_was_changed_is_named_and_the_run_goes_on(
     known = "is not what the checkpoint knows"
     assert resume(*changes) == [f"{tmp_path / name}: {known}" for name, *_ in changes]
     assert resume() == []
+
+
+def test_starts_that_are_no_file_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "generation").mkdir()
+    with pytest.raises(RunDirectoryError, match="generation: Is a directory, expected a file with"):
+        _learner(tmp_path, resume=False)
+
+
+def test_a_run_whose_end_cannot_be_saved_has_failed(tmp_path: Path) -> None:
+    """It has learned what nobody has; once that is mended it goes on from its journal."""
+    learner = _learner(tmp_path, resume=False)
+    shutil.rmtree(tmp_path / "latest")
+    (tmp_path / "latest").touch()
+    with pytest.raises(RunDirectoryError, match=r"latest/policy.onnx: .*; mend that and resume$"):
+        learner.run(lambda: True)
+    assert not (tmp_path / "summary.json").exists()
+    (tmp_path / "latest").unlink()
+    _learner(tmp_path, resume=True).run(lambda: True)
 
 
 def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path: Path) -> None:

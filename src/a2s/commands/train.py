@@ -187,7 +187,7 @@ def _run(
 def _starts(path: Path) -> bytes:
     """Read the file that every start of a learner changes."""
     count = path / "generation"
-    return count.read_bytes() if count.exists() else b""
+    return count.read_bytes() if count.is_file() else b""
 
 
 def _wait(

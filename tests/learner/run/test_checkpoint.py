@@ -56,6 +56,14 @@ def test_one_of_the_same_update_takes_the_place_of_none(tmp_path: Path) -> None:
     assert checkpoint.load(tmp_path, kind="k")[1] == {"count": 5}
 
 
+def test_a_copy_that_a_user_has_made_beside_them_is_none(tmp_path: Path) -> None:
+    for name in ("00000007-backup", "00000007.bak", "2026-11-30"):
+        (tmp_path / name).mkdir()
+    for _ in range(2):
+        checkpoint.save(tmp_path, 7, TENSORS, STATE, kind="k")
+    assert [each.name for each in checkpoint.all_of(tmp_path)] == ["00000007", "00000007-0001"]
+
+
 def test_one_of_another_kind_is_refused(tmp_path: Path) -> None:
     checkpoint.save(tmp_path, 1, TENSORS, STATE, kind="off-policy on Hopper-v5")
     with pytest.raises(RunDirectoryError, match="found off-policy on Hopper-v5, expected k; --res"):
