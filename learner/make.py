@@ -10,7 +10,7 @@ from a2s.learner.export.metadata import policy_metadata
 from a2s.learner.ingest.admission import Admission
 from a2s.learner.ingest.evaluations import Evaluations
 from a2s.learner.ingest.ingest import Ingest
-from a2s.learner.ingest.journal import Journal, Record, Taken, has
+from a2s.learner.ingest.journal import Journal, Record, Taken, has, without
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
@@ -89,8 +89,9 @@ def make_learner(
         trainer = store = OnPolicyTrainer(spaces, hyper, run.seed, metadata, metrics, learned)
     _begin(trainer, configuration, saved)
     past, env_steps = JournalFeed(journal, records or (), store), ledger.accepted_steps
-    if saved is not None and records is not None:
-        env_steps = saved[1]["env_steps"]
+    if saved is not None:
+        learned_from = saved[1]["env_steps"]
+        env_steps = learned_from if records is not None else max(learned_from, env_steps)
     return Learner(
         run=run,
         trainer=trainer,
@@ -131,11 +132,7 @@ def _journal(
         return journal, None
     place = saver.place(saved[1])
     if not has(journal.folder, place):
-        logger.warning(
-            "%s: is not there any more; what was learned since the checkpoint is lost, though its "
-            "steps count",
-            journal.folder,
-        )
+        logger.warning("%s: %s", journal.folder, without(place, ledger.accepted_steps))
         return journal, None
     journal.place = place
     records = read_again(journal, place, ledger)

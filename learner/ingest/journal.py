@@ -166,6 +166,19 @@ def read(folder: Path, place: Place) -> tuple[list[Record], int]:
     return records, begin
 
 
+def without(place: Place, accepted_steps: int) -> str:
+    """What is lost where a journal does not go on from a place; these steps are the ledger's."""
+    words = "is not there any more, or does not go on from the checkpoint"
+    since = accepted_steps - place.accepted_steps
+    if since > 0:
+        return f"{words}; the {since:,} steps since then count and are not learned from"
+    if since < 0:
+        return (
+            f"{words}; segments.log has {-since:,} steps fewer than that, what is lost is unknown"
+        )
+    return f"{words}; nothing came after that, and nothing is lost"
+
+
 def advice(folder: Path) -> str:
     """How to go on without a journal."""
     return f"delete {folder} to go on from the checkpoint, without the steps since then"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from a2s.learner.replay.files import NAME, Description, Files, describe, locked
+from a2s.learner.replay.files import NAME, RESTORE, Description, Files, describe, locked
 from a2s.learner.replay.index import CONTINUES, STARTS, TERMINATED, TRUNCATED, Index, Record
 from a2s.learner.replay.repair import Repair
 from a2s.learner.replay.replay import Replay
@@ -92,10 +92,12 @@ def open_existing(
         found = Repair(path, about, writable=True, is_known=is_known, most_rows=most_rows)
         files, ring = found.files, found.ring
         if ring.end < least_rows:
+            unknown = found.taken_back
+            short = f"segments.log does not know {unknown} more; " if unknown else ""
             raise RunDirectoryError(
                 f"replay {path}: found {ring.end} transitions that are whole and in the "
-                f"ledger, expected at least the {least_rows} of the newest checkpoint; restore the "
-                "files, or move the directory away to begin another"
+                f"ledger, expected at least the {least_rows} of the newest checkpoint; "
+                f"{short}{RESTORE}"
             )
         if capacity == about.capacity:
             files.index = Index(files.index_path, found.num_bytes)
@@ -183,8 +185,7 @@ def _require_empty(path: Path) -> None:
     for index in path.glob("index-*.log"):
         if index.stat().st_size:  # one that a kill left while it was made is empty
             raise RunDirectoryError(
-                f"replay {path}: found transitions in {index.name}, but no {NAME}; "
-                "move the directory away to begin another"
+                f"replay {path}: found transitions in {index.name}, but no {NAME}; {RESTORE}"
             )
 
 

@@ -22,6 +22,7 @@ from a2s.protocol.errors import MalformedMessageError, RunDirectoryError
 from a2s.protocol.fields import Array, Spaces
 
 NAME = "replay.json"
+RESTORE = "restore it from a copy, or begin another run with --init-from RUN"
 _FORMAT = 2
 
 FloatMap = np.memmap[tuple[int, ...], np.dtype[np.float32]]
@@ -110,7 +111,7 @@ def describe(path: Path) -> Description:
         RecursionError,
         MalformedMessageError,
     ) as error:
-        raise RunDirectoryError(f"replay {path}: {NAME} is damaged ({error})") from None
+        raise RunDirectoryError(f"replay {path}: {NAME} is damaged ({error}); {RESTORE}") from None
 
 
 class Files:
@@ -190,15 +191,11 @@ def _map(path: Path, shape: tuple[int, ...], *, new: bool, writable: bool) -> Fl
                 os.posix_fallocate(file.fileno(), 0, expected)
         found = path.stat().st_size
         if found != expected:
-            raise RunDirectoryError(
-                f"{path}: found {found} bytes, expected {expected}; the file is damaged, "
-                "move the directory away to begin another"
-            )
+            raise RunDirectoryError(f"{path}: found {found} bytes, expected {expected}; {RESTORE}")
         return np.memmap(path, np.float32, "r+" if writable else "r", shape=shape)
     except OSError as error:
-        raise RunDirectoryError(
-            f"{path}: {error.strerror}, {expected / 2**20:.0f} MiB are needed"
-        ) from None
+        remedy = f"{expected / 2**20:.0f} MiB are needed" if new else RESTORE
+        raise RunDirectoryError(f"{path}: {error.strerror}; {remedy}") from None
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from a2s.learner.replay.files import Description, Files
+from a2s.learner.replay.files import RESTORE, Description, Files
 from a2s.learner.replay.index import CONTINUES, RECORD_BYTES, Record, unpack
 from a2s.learner.replay.ring import Ring, max_piece
 from a2s.protocol.errors import RunDirectoryError
@@ -60,7 +60,7 @@ class Repair:
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise RunDirectoryError(f"{path}: {error.strerror}") from None
+            raise RunDirectoryError(f"{path}: {error.strerror}; {RESTORE}") from None
         found = [unpack(data, i) for i in range(len(data) // RECORD_BYTES)]
         while found and found[-1] is None:
             found.pop()
@@ -101,9 +101,7 @@ class Repair:
         return self.ring.stretch(record.row, record.steps).checksum() == record.rows_hash
 
     def _damaged(self, what: str) -> RunDirectoryError:
-        return RunDirectoryError(
-            f"replay {self._path}: {what}; move the directory away to begin another"
-        )
+        return RunDirectoryError(f"replay {self._path}: {what}; {RESTORE}")
 
 
 def _is_unfinished(record: Record) -> bool:

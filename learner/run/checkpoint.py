@@ -84,16 +84,18 @@ def load(folder: Path, *, kind: str | None = None) -> tuple[dict[str, Tensor], S
     found = all_of(folder)
     if not found:
         raise RunDirectoryError(
-            f"{folder}: found no checkpoint to go on from; name another --run-dir, or delete "
-            f"{folder.parent}"
+            f"{folder}: found no checkpoint to go on from; restore one from a copy, or begin "
+            "another run"
         )
     for path in reversed(found):
         try:
             return read(path, kind)
         except DamagedError as error:
-            logger.warning("checkpoint %s: %s; going on from the one before", path, error)
+            going_on = "" if path == found[0] else "; going on from the one before"
+            logger.warning("checkpoint %s: %s%s", path, error, going_on)
     raise RunDirectoryError(
-        f"{folder}: each of {len(found)} checkpoints is damaged; restore one, or begin another run"
+        f"{folder}: each of {len(found)} checkpoints is damaged; restore one from a copy, "
+        "or begin another run"
     )
 
 

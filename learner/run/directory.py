@@ -42,8 +42,10 @@ ENDPOINT, LOCK = "endpoint", "lock"
 
 
 @contextlib.contextmanager
-def claimed(path: Path) -> Iterator[None]:
+def claimed(path: Path, taken: str = "another learner is at work there; stop it") -> Iterator[None]:
     """Keep other learners out of a directory while the block lasts.
+
+    ``taken`` says that one is in there, and what to do.
 
     Raises:
         RunDirectoryError: Another one is at work there, or the directory cannot be made.
@@ -57,7 +59,7 @@ def claimed(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise RunDirectoryError(f"{path}: another learner is at work there; stop it") from None
+            raise RunDirectoryError(f"{path}: {taken}") from None
         yield
 
 
@@ -237,7 +239,7 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
     if not table.exists():
         return []
     found = []
-    with reading(table) as file:
+    with reading(table), table.open(newline="") as file:
         rows = csv.DictReader(file)
         try:
             for row in rows:
@@ -261,7 +263,7 @@ def _episodes(
     path: Path, table: GrowingTable
 ) -> Iterator[tuple[float, float, int, dict[str, float]]]:
     columns, line = table.columns, list[str]()
-    with reading(path) as file:
+    with reading(path), path.open(newline="") as file:
         lines = csv.reader(file)
         try:
             for line in lines:

@@ -4,7 +4,6 @@ import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from io import TextIOWrapper
 from pathlib import Path
 from typing import IO
 
@@ -51,7 +50,7 @@ class GrowingTable:
     def _add_columns(self, names: list[str]) -> None:
         """Write the table anew with more columns, empty so far."""
         self._file.close()
-        with reading(self._path) as file:
+        with reading(self._path), self._path.open(newline="") as file:
             first, *lines = list(csv.reader(file))
         text = io.StringIO(newline="")
         csv.writer(text).writerows(
@@ -82,20 +81,19 @@ def header(path: Path) -> list[str]:
     Raises:
         RunDirectoryError: They cannot be read.
     """
-    with reading(path) as file:
-        return next(csv.reader([file.buffer.readline().decode()]), [])
+    with reading(path), path.open("rb") as file:
+        return next(csv.reader([file.readline().decode()]), [])
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[TextIOWrapper]:
-    """Open a table for reading.
+def reading(path: Path) -> Iterator[None]:
+    """Name the table when the block cannot read it.
 
     Raises:
-        RunDirectoryError: It cannot be read, or has a byte that is not UTF-8.
+        RunDirectoryError: It is not there, or has a byte that is not UTF-8.
     """
     try:
-        with path.open(newline="") as file:
-            yield file
+        yield
     except OSError as error:
         raise RunDirectoryError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError as error:

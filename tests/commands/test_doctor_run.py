@@ -32,6 +32,11 @@ def make_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return make
 
 
+def _findings(path: Path) -> dict[str, dict[str, str]]:
+    result = CliRunner().invoke(app, ["doctor", str(path), "--json"])
+    return {each["name"]: each for each in json.loads(result.stdout)}
+
+
 def _examine(path: Path) -> tuple[int, dict[str, tuple[str, str]]]:
     result = CliRunner().invoke(app, ["doctor", str(path), "--json"])
     found = {each["name"]: (each["state"], each["found"]) for each in json.loads(result.stdout)}
@@ -88,4 +93,54 @@ def test_a_run_that_is_not_one_or_is_at_work_is_refused(
     path = make_run("on-policy")
     with claimed(path):
         result = CliRunner().invoke(app, ["doctor", str(path)])
-    assert "another learner is at work there" in str(result.exception)
+    assert str(result.exception) == (
+        f"{path}: a learner is at work there; its files are looked at when it has stopped; "
+        f"a2s status {path} shows it now"
+    )
+
+
+@pytest.mark.parametrize(
+    ("variant", "state", "remedy"),
+    [
+        ("on-policy", "note", "; else --resume goes on, and the accounts lack what is gone"),
+        ("off-policy", "fail", ": --resume refuses"),
+    ],
+)
+def test_a_ledger_that_has_lost_its_end_is_told_with_both_numbers(
+    make_run: Callable[[str], Path], variant: str, state: str, remedy: str
+) -> None:
+    path = make_run(variant)
+    _, before = _examine(path)
+    (path / "segments.log").write_bytes(b"")
+    steps = before["ledger"][1].split(", ")[1]
+    found = _findings(path)["ledger"]
+    assert found["state"] == state
+    assert found["found"] == f"{path / 'segments.log'}: 0 steps, the checkpoint knows {steps[:-6]}"
+    assert found["remedy"] == f"restore it from a copy{remedy}"
+
+
+def test_a_journal_that_is_gone_is_a_note_and_says_what_is_lost(
+    make_run: Callable[[str], Path],
+) -> None:
+    """The run has ended with a checkpoint, so it is nothing; then with the one before."""
+    path = make_run("on-policy")
+    shutil.rmtree(path / "journal")
+    found = _findings(path)["journal"]
+    assert found["state"] == "note"
+    assert found["remedy"] == "--resume goes on: nothing came after that, and nothing is lost"
+    shutil.rmtree(max((path / "checkpoints").iterdir()))
+    found = _findings(path)["journal"]
+    assert found["state"] == "note"
+    assert "steps since then count and are not learned from" in found["remedy"]
+
+
+def test_of_a_damaged_checkpoint_the_one_before_is_used_where_there_is_one(
+    make_run: Callable[[str], Path],
+) -> None:
+    path = make_run("on-policy")
+    for each in sorted((path / "checkpoints").iterdir(), reverse=True):
+        (each / "state.json").write_text("")
+    found = _findings(path)
+    assert found.pop("checkpoints")["remedy"] == "restore one from a copy, or begin another run"
+    notes = [each for name, each in found.items() if name.startswith("checkpoint ")]
+    assert {each["remedy"] for each in notes} == {"restore it from a copy"}

@@ -300,12 +300,15 @@ def test_a_replay_that_lacks_what_a_checkpoint_knows_is_damaged_and_left_alone(
     run = make()
     saved = _saved_after(8, run, place)
     run.trainer.close()
+    ledger = (place / "segments.log").read_bytes()
     damage(place)
     before = {p.name: p.read_bytes() for p in (place / "replay").iterdir()}
     with pytest.raises(
         RunDirectoryError, match="expected at least the 40 of the newest checkpoint"
-    ):
+    ) as caught:
         make(saved=saved)
+    is_whole = (place / "segments.log").exists() and (place / "segments.log").read_bytes() == ledger
+    assert ("; segments.log does not know " in str(caught.value)) != is_whole
     assert {p.name: p.read_bytes() for p in (place / "replay").iterdir()} == before
 
 

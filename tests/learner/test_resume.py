@@ -8,6 +8,7 @@ from learners import learner_of
 
 from a2s.actors.environments.environment import Environment
 from a2s.learner.learner import Learner
+from a2s.learner.run import checkpoint
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.in_process import Exchange, InProcessBus
@@ -111,6 +112,15 @@ def test_a_run_whose_end_cannot_be_saved_has_failed(tmp_path: Path) -> None:
     assert not (tmp_path / "summary.json").exists()
     (tmp_path / "latest").unlink()
     _learner(tmp_path, resume=True).run(lambda: True)
+
+
+def test_without_journal_and_ledger_the_steps_are_those_of_the_checkpoint(tmp_path: Path) -> None:
+    _learner(tmp_path, resume=False).run(lambda: True)
+    tensors, state = checkpoint.load(tmp_path / "checkpoints")
+    state["env_steps"] = 100
+    checkpoint.save(tmp_path / "checkpoints", 0, tensors, state, kind=f"on-policy on {ENV}")
+    shutil.rmtree(tmp_path / "journal")
+    assert _learner(tmp_path, resume=True).run(lambda: True)["env_steps"] == 100
 
 
 def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from a2s.commands.doctor import Finding
 from a2s.learner.ingest import journal
-from a2s.learner.ingest.ledger import Ledger, Mark
+from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.replay import directory as replay
 from a2s.learner.replay import files
 from a2s.learner.run import checkpoint, saver, table_mark
@@ -22,23 +22,20 @@ def examine_run(path: Path) -> Iterator[Finding]:
         RunDirectoryError: A learner is at work there.
     """
     require_config(path)
-    with claimed(path):
-        whole = []
-        for each in checkpoint.all_of(path / "checkpoints"):
-            finding, state = _checkpoint(each)
-            yield finding
-            if state is not None:
-                whole.append(state)
-        if not whole:
-            yield Finding("checkpoints", "fail", "none is whole", "restore one from a copy")
-        known = saver.ledger_mark(whole[-1]) if whole else None
-        yield _finding("ledger", lambda: _ledger(path, known))
-        for name in table_mark.changed(path, whole[-1]["tables"] if whole else {}):
+    taken = "a learner is at work there; its files are looked at when it has stopped"
+    with claimed(path, f"{taken}; a2s status {path} shows it now"):
+        findings, whole = _checkpoints(path / "checkpoints")
+        yield from findings
+        newest = whole[-1] if whole else None
+        has_replay = any(map(saver.has_replay, whole))
+        ledger, accepted_steps = _ledger(path, newest, has_replay=has_replay)
+        yield ledger
+        for name in table_mark.changed(path, newest["tables"] if newest else {}):
             yield Finding(name, "note", table_mark.CHANGED, table_mark.REMEDY)
         places = [saver.place(state) for state in whole if state["journal"] is not None]
         if places:
-            yield _finding("journal", lambda: _journal(path / "journal", places))
-        if (path / "replay" / files.NAME).exists() or any(map(saver.has_replay, whole)):
+            yield _journal(path / "journal", places, accepted_steps)
+        if (path / "replay" / files.NAME).exists() or has_replay:
             yield _finding("replay", lambda: _replay(path / "replay"))
 
 
@@ -46,34 +43,68 @@ def _finding(name: str, look: Callable[[], str]) -> Finding:
     try:
         return Finding(name, "ok", look())
     except RunDirectoryError as error:
-        what, _, remedy = str(error).partition("; ")
-        return Finding(name, "fail", what, remedy)
+        return _failed(name, error)
 
 
-def _checkpoint(path: Path) -> tuple[Finding, checkpoint.State | None]:
-    name = f"checkpoint {path.name}"
+def _failed(name: str, error: RunDirectoryError) -> Finding:
+    what, _, remedy = str(error).partition("; ")
+    return Finding(name, "fail", what, remedy)
+
+
+def _checkpoints(folder: Path) -> tuple[list[Finding], list[checkpoint.State]]:
+    """Look at all, the newest last; gives the states of the whole ones."""
+    findings, whole = list[Finding](), list[checkpoint.State]()
+    for each in checkpoint.all_of(folder):
+        name = f"checkpoint {each.name}"
+        try:
+            _, state = checkpoint.read(each)
+        except checkpoint.DamagedError as error:
+            remedy = "nothing: --resume uses the one before" if whole else "restore it from a copy"
+            findings.append(Finding(name, "note", str(error), remedy))
+        else:
+            findings.append(Finding(name, "ok", f"{state.get('env_steps', 0):,} steps"))
+            whole.append(state)
+    if not whole:
+        remedy = "restore one from a copy, or begin another run"
+        findings.append(Finding("checkpoints", "fail", "none is whole", remedy))
+    return findings, whole
+
+
+def _ledger(
+    path: Path, newest: checkpoint.State | None, *, has_replay: bool
+) -> tuple[Finding, int]:
+    """Look at the ledger; gives its accepted steps."""
+    known = None if newest is None else saver.ledger_mark(newest)
     try:
-        _, state = checkpoint.read(path)
-    except checkpoint.DamagedError as error:
-        return Finding(name, "note", str(error), "nothing: --resume uses the one before"), None
-    return Finding(name, "ok", f"{state.get('env_steps', 0):,} steps"), state
-
-
-def _ledger(path: Path, known: Mark | None) -> str:
-    ledger = Ledger(path / "segments.log", known)
+        ledger = Ledger(path / "segments.log", known)
+    except RunDirectoryError as error:
+        return _failed("ledger", error), 0
     try:
-        accounts = ledger.accounts()
+        accepted, steps = ledger.accounts().accepted, ledger.accepted_steps
     finally:
         ledger.close()
-    return f"{accounts.accepted:,} segments accepted, {ledger.accepted_steps:,} steps"
+    if newest is None or known is None or steps >= known.accepted_steps:
+        return Finding("ledger", "ok", f"{accepted:,} segments accepted, {steps:,} steps"), steps
+    place = saver.place(newest)
+    found = f"{path / 'segments.log'}: {steps:,} steps, the checkpoint knows "
+    found += f"{known.accepted_steps:,}"
+    if steps >= place.accepted_steps and journal.has(path / "journal", place):
+        return Finding("ledger", "ok", f"{found}; journal/ has the others"), steps
+    if has_replay:
+        return Finding("ledger", "fail", found, "restore it from a copy: --resume refuses"), steps
+    remedy = "restore it from a copy; else --resume goes on, and the accounts lack what is gone"
+    return Finding("ledger", "note", found, remedy), steps
 
 
-def _journal(folder: Path, places: list[journal.Place]) -> str:
+def _journal(folder: Path, places: list[journal.Place], accepted_steps: int) -> Finding:
     """Read all that one of the whole checkpoints needs, the newest last."""
     if not journal.has(folder, places[-1]):
-        raise RunDirectoryError(
-            f"{folder}: does not go on from the checkpoint; restore it, or lose what came after"
-        )
+        found, _, lost = journal.without(places[-1], accepted_steps).partition("; ")
+        return Finding("journal", "note", f"{folder} {found}", f"--resume goes on: {lost}")
+    return _finding("journal", lambda: _again(folder, places))
+
+
+def _again(folder: Path, places: list[journal.Place]) -> str:
     records, _ = journal.read(folder, next(each for each in places if journal.has(folder, each)))
     ends = [record.end for record in records if isinstance(record, journal.Taken)]
     again = sum(end > places[-1] for end in ends)

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from segments import segment
 
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, has, read
+from a2s.learner.ingest.journal import (
+    Begun,
+    Journal,
+    Place,
+    Record,
+    Stored,
+    Taken,
+    has,
+    read,
+    without,
+)
 from a2s.learner.ingest.journal_feed import JournalFeed, read_again
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.store import Quota
@@ -160,6 +170,18 @@ def test_every_flipped_byte_before_the_last_record_is_seen(tmp_path: Path, ledge
         assert file.read_bytes() == damaged
         file.write_bytes(whole)
     assert len(read_again(Journal(tmp_path / "journal"), start, ledger)) == 3
+
+
+@pytest.mark.parametrize(
+    ("steps", "lost"),
+    [
+        (1200, "the 200 steps since then count and are not learned from"),
+        (1000, "nothing came after that, and nothing is lost"),
+        (0, "segments.log has 1,000 steps fewer than that, what is lost is unknown"),
+    ],
+)
+def test_what_is_lost_with_a_journal_is_said(steps: int, lost: str) -> None:
+    assert without(Place(accepted_steps=1000), steps).partition("; ")[2] == lost
 
 
 def test_what_the_ledger_has_lost_is_written_into_it(

@@ -249,6 +249,7 @@ def test_what_is_damaged_is_refused_by_one_line_and_left_alone(
     with pytest.raises(RunDirectoryError, match=reason) as caught:
         directory.open_existing(tmp_path)
     assert "\n" not in str(caught.value)
+    assert "move the directory away" not in str(caught.value)  # a run without it is refused
     assert snapshot(tmp_path) == before
 
 
@@ -284,7 +285,7 @@ def test_a_replay_is_made_only_where_there_is_none(tmp_path: Path) -> None:
         directory.create(path, ENV_ID, SPACES, 100)
     assert str(caught.value) == (
         f"replay {path}: found transitions in index-1.log, but no replay.json; "
-        "move the directory away to begin another"
+        "restore it from a copy, or begin another run with --init-from RUN"
     )
     assert snapshot(path) == before
     (path / "index-1.log").write_bytes(b"")

@@ -94,8 +94,12 @@ def test_of_a_damaged_one_the_one_before_is_used_and_that_is_said(
     assert "00000002: " in caplog.text
     assert "; going on from the one before" in caplog.text
     shutil.rmtree(tmp_path / "00000001")
-    with pytest.raises(RunDirectoryError, match="each of 1 checkpoints is damaged; restore one"):
+    caplog.clear()
+    words = "each of 1 checkpoints is damaged; restore one from a copy, or begin another run"
+    with pytest.raises(RunDirectoryError, match=words):
         checkpoint.load(tmp_path, kind="k")
+    assert "00000002: " in caplog.text
+    assert "the one before" not in caplog.text
 
 
 def test_no_flipped_byte_is_used(tmp_path: Path) -> None:
@@ -148,8 +152,8 @@ def test_the_checksums_are_those_of_sha256sum(tmp_path: Path) -> None:
 
 
 def test_resuming_without_one_says_so(tmp_path: Path) -> None:
-    """Not to start without --resume, which says to add it."""
-    words = f"found no checkpoint to go on from; name another --run-dir, or delete {tmp_path}$"
+    """Not to start without --resume, which says to add it, nor to delete what is left."""
+    words = "found no checkpoint to go on from; restore one from a copy, or begin another run$"
     with pytest.raises(RunDirectoryError, match=words):
         checkpoint.load(tmp_path / "none", kind="k")
 
