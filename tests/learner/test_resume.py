@@ -117,7 +117,7 @@ def test_a_run_whose_end_cannot_be_saved_has_failed(tmp_path: Path) -> None:
 def test_without_journal_and_ledger_the_steps_are_those_of_the_checkpoint(tmp_path: Path) -> None:
     _learner(tmp_path, resume=False).run(lambda: True)
     tensors, state = checkpoint.load(tmp_path / "checkpoints")
-    state["env_steps"] = 100
+    state |= {"env_steps": 100, "journal": (0, 1, 0)}
     checkpoint.save(tmp_path / "checkpoints", 0, tensors, state, kind=f"on-policy on {ENV}")
     shutil.rmtree(tmp_path / "journal")
     assert _learner(tmp_path, resume=True).run(lambda: True)["env_steps"] == 100
