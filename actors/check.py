@@ -15,7 +15,13 @@ from a2s.actors.children import Report, ask_child
 from a2s.actors.environments.environment import Environment
 from a2s.actors.environments.making import make, seed_globals
 from a2s.actors.parent import Parent, answer
-from a2s.actors.rollout import is_usable
+from a2s.actors.rollout import (
+    MAX_USELESS_IN_A_ROW,
+    is_usable,
+    useless,
+    wrong_in,
+    wrong_reward,
+)
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import said_by
 
@@ -35,30 +41,62 @@ def check(config: EnvConfig, on_words: Callable[[str], None]) -> Report:
     return ask_child(__name__, config, on_words)
 
 
+class _Attempts:
+    """Episodes that training would begin: ten in a row without a step that can be used end it."""
+
+    def __init__(self, environment: str) -> None:
+        self._environment = environment
+        self.succeeded()
+
+    def succeeded(self) -> None:
+        """A step can be used."""
+        self._since, self._empty = "", 0
+
+    def failed(self, wrong: str, where: str, *, is_empty: bool) -> None:
+        """A step cannot, and the episode is cut before it; ``is_empty``: nothing is left of it.
+
+        Raises:
+            FaultyEnvironmentError: That is too often.
+        """
+        self._since = self._since or where
+        self._empty += is_empty
+        if self._empty >= MAX_USELESS_IN_A_ROW:
+            raise useless(self._environment, f"{wrong}, from {self._since} on")
+
+
 def _play(environment: Environment, rng: np.random.Generator) -> Report:
     """Step with random actions, and count."""
     spaces = environment.spaces
     low, high = spaces.action_low.astype(np.float64), spaces.action_high.astype(np.float64)
-    first_useless = ""
+    first_unusable = ""
     rewards: list[float] = []
     lengths: list[int] = []
-    ends, useless = [0, 0], 0
-    environment.reset()
-    length, begin_s = 0, perf_counter()
+    ends, unusable = [0, 0], 0
+    attempt = _Attempts(environment.name)
+    obs, length, begin_s = environment.reset(), 0, perf_counter()
     while len(rewards) < _STEPS and perf_counter() - begin_s < _SECONDS:
+        if not is_usable(obs):
+            attempt.failed(wrong_in(obs), f"the reset after step {len(rewards)}", is_empty=True)
+            obs = environment.reset()
+            continue
         action = np.clip(rng.uniform(low, high), low, high).astype(np.float32)
         obs, reward, terminated, truncated = environment.step(action)
         rewards.append(reward)
+        wrong = wrong_reward(reward) or ("" if is_usable(obs) else wrong_in(obs))
+        if wrong:
+            unusable += 1
+            first_unusable = first_unusable or f"the {wrong.split()[0]} of step {len(rewards)}"
+        # What follows a terminal step is not used.
+        if wrong_reward(reward) or (wrong and not terminated):
+            attempt.failed(wrong, f"step {len(rewards)}", is_empty=length == 0)
+            obs, length = environment.reset(), 0
+            continue
+        attempt.succeeded()
         length += 1
-        if not (is_usable(obs) and np.isfinite(reward)):
-            useless += 1
-            what = "reward" if is_usable(obs) else "observation"
-            first_useless = first_useless or f"the {what} of step {len(rewards)}"
         if terminated or truncated:
             ends[truncated] += 1
             lengths.append(length)
-            length = 0
-            environment.reset()
+            obs, length = environment.reset(), 0
     return {
         "steps": len(rewards),
         "steps_per_s": round(len(rewards) / (perf_counter() - begin_s), 1),
@@ -66,8 +104,8 @@ def _play(environment: Environment, rng: np.random.Generator) -> Report:
         "terminated": ends[0],
         "truncated": ends[1],
         "rewards": [float(np.nanmin(rewards)), float(np.nanmax(rewards))],
-        "unusable_steps": useless,
-        "first_unusable": first_useless,
+        "unusable_steps": unusable,
+        "first_unusable": first_unusable,
         "info_metrics": sorted(m.name for m in environment.metrics()),
         "other_numbers": environment.other_numbers(),
     }

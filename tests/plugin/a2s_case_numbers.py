@@ -176,6 +176,24 @@ class Broken(Control):
         return obs, reward, terminated, truncated, info
 
 
+class BrokenFrom(Control):
+    """Number 1 of all observations is no number from a step on, whatever episode it is in."""
+
+    def __init__(self, first: int) -> None:
+        super().__init__()
+        self._left = first
+
+    def obs(self) -> Obs:
+        obs = super().obs()
+        if self._left <= 0:
+            obs[1] = np.nan
+        return obs
+
+    def step(self, action: Obs) -> Step:
+        self._left -= 1
+        return super().step(action)
+
+
 class Wide(Control):
     """Very many numbers, which differ from step to step, and no end."""
 
@@ -326,6 +344,7 @@ register("InexactDict", Inexact, nested=True)
 for _name, _broken in BROKEN.items():
     register(_name, Broken, **_broken)
 register("BrokenAlways", Broken, every=1)
+register("BrokenFrom51", BrokenFrom, first=51)
 for _ends in ("terminated", "truncated"):
     register(f"BrokenEnd{_ends.capitalize()}", Broken, ends=_ends)
     register(f"BrokenEnd{_ends.capitalize()}Inf", Broken, ends=_ends, value=np.inf)

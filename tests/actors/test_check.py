@@ -1,0 +1,35 @@
+"""A trial refuses an environment of which nothing can be learned, as training does."""
+
+import pytest
+
+from a2s.actors.check import check
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import FaultyEnvironmentError
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        # It has been stepped ten times before: whether a seed repeats.
+        ("a2s_case_numbers:BrokenFrom51-v0", "observation 1 is nan, from step 41 on"),
+        ("a2s_test_envs:NanAlways-v0", "reward is nan, from step 1 on"),
+    ],
+)
+def test_an_environment_that_gives_nothing_usable_any_more_is_refused(name: str, said: str) -> None:
+    with pytest.raises(FaultyEnvironmentError) as caught:
+        check(EnvConfig(env_id=name), lambda _: None)
+    expected = f"environment {name}: nothing that can be used in 10 attempts in a row, at last: "
+    assert str(caught.value) == expected + said
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "unusable"),
+    [
+        ("a2s_case_numbers:BrokenEndTerminated-v0", "the observation of step 87", 20),
+        ("a2s_test_envs:NanReward-v0", "the reward of step 3", 666),
+    ],
+)
+def test_one_whose_steps_can_be_used_in_part_is_taken(name: str, first: str, unusable: int) -> None:
+    """An episode is cut before a step that cannot, as training does."""
+    found = check(EnvConfig(env_id=name), lambda _: None)
+    assert (found["first_unusable"], found["unusable_steps"]) == (first, unusable)
