@@ -29,6 +29,7 @@ _REFUSED_WITHIN_S = 1.0
 _TRIES, _AGAIN_S = 2, 0.5
 _OPEN_MS = 2000
 _CLOSE_S = 2.0
+_START = "start `a2s learner` (--resume goes on with a run)"
 
 _SETTINGS = {
     "scouting/multicast/enabled": False,
@@ -127,10 +128,10 @@ class ZenohBus:
                 nobody = _nobody(endpoint, now - begin, identity, is_awaited=is_awaited)
                 if not goes_on:
                     raise UnreachableError(
-                        f"{nobody}; start `a2s learner`, or name its endpoint with --connect"
+                        f"{nobody}; {_START}, or name its endpoint with --connect"
                     ) from None
                 said = now
-                logger.warning("%s; still trying, start `a2s learner` there", nobody)
+                logger.warning("%s; still trying, %s there", nobody, _START)
 
     def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Query ``key``; an error reply, a timeout and silence are all ``None``."""

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from a2s import cli
 from a2s.commands.run_cli import again_by
+from a2s.learner.run.directory import claimed
 
 
 def _print_config(*arguments: str) -> str:
@@ -154,3 +156,40 @@ def test_the_command_that_goes_on_with_a_run_says_again_what_its_file_does_not(
     changed = {n for n, v in context.params.items() if v != first.params[n]}
     assert changed <= {"resume", "run_dir", "run", "seed", "json_"}
     assert (context.params["resume"], context.params["run_dir"]) == (True, place)
+
+
+A2S = Callable[..., tuple[int, str, str]]
+
+
+@pytest.mark.parametrize(
+    ("summary", "is_at_work", "said"),
+    [
+        ("", False, "runs/default-2 has not ended; --resume goes on with it"),
+        ('{"finished": false}', False, "runs/default-2 has not ended; --resume goes on with it"),
+        ('{"finished": true}', False, ""),
+        ("", True, ""),
+    ],
+)
+def test_a_run_that_has_not_ended_is_told_to_who_begins_another(
+    a2s: A2S, tmp_path: Path, summary: str, is_at_work: bool, said: str
+) -> None:
+    """The newest one; not while a learner is at work there."""
+    for name in ("default", "default-2"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "config.toml").touch()
+    newest = tmp_path / "runs" / "default-2"
+    if summary:
+        (newest / "summary.json").write_text(summary)
+    # It ends once its configuration is made.
+    words = ("learner", "--env", "E", "--replay-from", "replay", "--prior", "other")
+    with claimed(newest) if is_at_work else nullcontext():
+        _, _, err = a2s(*words)
+    assert err.splitlines()[:-1] == ([said] if said else [])
+
+
+def test_what_is_learned_again_needs_a_directory_of_its_own(a2s: A2S, tmp_path: Path) -> None:
+    (tmp_path / "run-again").mkdir()
+    (tmp_path / "run-again" / "config.toml").touch()
+    code, _, err = a2s("learner", "--replay-journal", "run")
+    said = "run-again is not empty; delete it, or name another with --run-dir"
+    assert (code, err) == (2, f"a2s: --replay-journal: {said}\n")

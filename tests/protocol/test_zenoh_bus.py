@@ -158,10 +158,11 @@ def test_nobody_listening_is_said_and_waited_for_as_long_as_the_caller_wants(
     assert next(attempts) == 3
     assert time.monotonic() - begin < 10.0
     nobody = rf"no learner at {endpoint} after \d s; "
-    help_ = "start `a2s learner`, or name its endpoint with --connect"
+    start = re.escape("start `a2s learner` (--resume goes on with a run)")
+    help_ = f"{start}, or name its endpoint with --connect"
     assert re.fullmatch(nobody + help_, str(caught.value))
     (said,) = [record.getMessage() for record in caplog.records]
-    assert re.fullmatch(nobody + "still trying, start `a2s learner` there", said)
+    assert re.fullmatch(f"{nobody}still trying, {start} there", said)
 
 
 def test_a_learner_that_ends_meanwhile_is_no_refusal() -> None:

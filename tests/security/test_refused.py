@@ -116,7 +116,8 @@ REFUSED = {
     "an actor poses as the learner": "ENDPOINT: what listens there has no learner's certificate; "
     "it is not the learner",
     "learner without tls": r"no learner at ENDPOINT after \d+ s, though something listens there: "
-    "it may hang, or be without --tls; start `a2s learner`, or name its endpoint with --connect",
+    r"it may hang, or be without --tls; start `a2s learner` \(--resume goes on with a run\), or "
+    "name its endpoint with --connect",
     "wrong password": "ENDPOINT: what listens there does not let user 'actor' with this password "
     "in; .*",
     "no password": "ENDPOINT: what listens there does not let this peer in; .*--password-file.*",

@@ -12,7 +12,7 @@ from a2s.learner.run.choice import choose
 from a2s.learner.run.config import Configuration, recovery_of
 from a2s.learner.run.directory import CONFIG
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
-from a2s.protocol.errors import MalformedMessageError, UsageError
+from a2s.protocol.errors import A2SError, MalformedMessageError, UsageError
 
 ROOT = Path("runs")
 
@@ -64,6 +64,18 @@ def configure(
     if not resume:
         path = choose(ROOT, assembled.run.run, run_dir, resume=False)
     return assembled, path.absolute()
+
+
+def unfinished(run: str) -> Path | None:
+    """The newest run of this name, if it has not ended and no learner is at work there."""
+    try:
+        path = run_directory.choose(ROOT, run, None, resume=True)
+        with run_directory.claimed(path):
+            summary = path / "summary.json"
+            has_ended = summary.exists() and json.loads(summary.read_text())["finished"]
+    except (A2SError, OSError, ValueError):  # then there is none that could go on
+        return None
+    return None if has_ended else path
 
 
 def placed(env: str) -> str:

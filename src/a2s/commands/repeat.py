@@ -33,7 +33,8 @@ _TAKEN = (
 def repeat(configuration: Configuration, place: Place, describing: Describing, source: Path) -> int:
     """Learn again from the oldest checkpoint whose journal is kept, and compare the weights.
 
-    ``source`` is the directory of a run; it is not changed.
+    ``source`` is the directory of a run; it is not changed. That of ``place`` is empty or not
+    there.
 
     Returns:
         The exit code: 0 if every checkpoint that both have is equal.
@@ -41,8 +42,6 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
     Raises:
         A2SError: ``source`` has nothing to learn again from, or the weights differ.
     """
-    if place.path.exists() and any(place.path.iterdir()):
-        raise UsageError(f"--run-dir: {place.path} is not empty; name another")
     run = replace(configuration.run, evaluate_every=0, stop_at_return=math.inf, tensorboard=False)
     configuration = replace(configuration, run=run)
     described, stop = prepare(configuration, describing, place.out)
@@ -54,7 +53,7 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
         closing(make_view(f"again: {source}", quiet=place.as_json)) as view,
     ):
         try:
-            _copy(source, place.path)
+            start = _copy(source, place.path)
             learner = make_learner(
                 configuration=configuration,
                 spaces=described.spaces,
@@ -75,24 +74,24 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
         place.write_config(configuration)
         summary = learner.run(stop.is_set, only_again=True)
     found = _tensors(place.path)
-    both = sorted(known.keys() & found.keys())
+    both = sorted((known.keys() & found.keys()) - {start})
     unequal = [name for name in both if known[name] != found[name]]
     if unequal:
         raise A2SError(
             f"{place.path}: checkpoint {unequal[0]} differs from that of {source}; was it made "
             "with other settings, another release, or another processor?"
         )
-    typer.echo(
-        f"{summary['updates']:,} updates in {place.path}, equal: checkpoints {', '.join(both)}",
-        place.out,
-    )
+    compared = f"equal: checkpoints {', '.join(both)}" if both else (
+        f"nothing compared: there is no checkpoint after {start}, with which it began"
+    )  # fmt: skip
+    typer.echo(f"{summary['updates']:,} updates in {place.path}, {compared}", place.out)
     if place.as_json:
         typer.echo(json.dumps(summary | {"equal": both}))
     return stop.exit_code
 
 
-def _copy(source: Path, path: Path) -> None:
-    """Copy what a learner needs that goes on from the oldest checkpoint."""
+def _copy(source: Path, path: Path) -> str:
+    """Copy what a learner needs that goes on from the oldest checkpoint; gives its name."""
     folder = source / _JOURNAL
     for each in checkpoint.all_of(source / _CHECKPOINTS):
         try:
@@ -118,6 +117,7 @@ def _copy(source: Path, path: Path) -> None:
                 shutil.copy(source / name, path / name)
         if (source / "replay").exists():
             shutil.copytree(source / "replay", path / "replay")
+    return each.name
 
 
 def _tensors(path: Path) -> dict[str, str]:

@@ -63,6 +63,11 @@ def learner(
             )
         config = Path(replay_journal) / "config.toml"
         run_dir = run_dir or Path(f"{Path(replay_journal)}-again")
+        if run_dir.is_dir() and any(run_dir.iterdir()):
+            raise UsageError(
+                f"--replay-journal: {run_dir} is not empty; delete it, or name another with "
+                "--run-dir"
+            )
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
@@ -171,7 +176,7 @@ def _configure(
 ) -> tuple["Configuration", Path]:
     """Make the configuration of a run, and choose its directory; ``--print-config`` ends here."""
     require_learner()
-    from a2s.commands.configure import configure
+    from a2s.commands.configure import configure, unfinished
 
     settings, resume = context.params["settings"], context.params["resume"]
     configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
@@ -186,4 +191,6 @@ def _configure(
     if context.params["print_config"]:
         typer.echo(configuration.explain())
         raise typer.Exit
+    if not resume and run_dir is None and (other := unfinished(configuration.run.run)) is not None:
+        typer.echo(f"{other} has not ended; --resume goes on with it", err=True)
     return configuration, path
