@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from a2s.learner.feed import Arrival
-from a2s.learner.ingest.members import SILENT_S, Member
+from a2s.learner.ingest.members import JUST_BEGUN, SILENT_S, Member
 from a2s.protocol import messages
 from a2s.protocol.messages import Notice
 
@@ -124,5 +124,5 @@ def _doing(members: list[Member]) -> str:
     """Say which call into an environment keeps the first of some members, if one does."""
     for member in members:
         if member.status is not None and member.status.doing:
-            return f", actor {member.slot}: {member.status.doing}"
+            return f", actor {member.slot}: {member.status.doing.removesuffix(JUST_BEGUN)}"
     return ""

@@ -9,6 +9,7 @@ from a2s.protocol.generations import start_of
 from a2s.protocol.messages import ENDLESS_STEPS, ActorStatus, Hello, Notice, Segment
 
 SILENT_S = 30.0
+JUST_BEGUN = " for 0 s"  # what an actor says of a call that has lasted for less than a second
 MAX_SEEN = 1 << 16  # tokens
 _MAX_MEMBERS, _MAX_ENVS = 4096, 1 << 16
 _MAX_AWAY = 256
@@ -263,7 +264,7 @@ class Members:
         actor, first = next(iter(known.items()))
         doing = first.doing or f"making its environments for {now_s - first.first_s:.0f} s"
         others = f" and {len(known) - 1} more" if len(known) > 1 else ""
-        return f"{actor}{others}: {doing}"
+        return f"{actor}{others}: {doing.removesuffix(JUST_BEGUN)}"
 
 
 def _forget_oldest(known: dict[str, T], limit: int = _MAX_REMEMBERED) -> list[T]:

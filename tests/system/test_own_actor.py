@@ -42,6 +42,7 @@ def test_it_plays_for_a_learner_that_is_killed_and_resumed(
     first = start("learner", "--env", "./robot.py:Robot", "--listen", endpoint, *RUN)
     updates = tmp_path / "run/updates.csv"
     wait_for(lambda: updates.exists() and updates.read_text().count("\n") > 2, "an update", 60.0)
+    assert f"join it     a2s actor --n 1 --connect {endpoint}" in first.text()
     first.end(signal.SIGKILL)
     second = start("learner", "--resume", "--listen", endpoint, *RUN)
     assert second.process.wait(PATIENCE_S) == 0, second.text()

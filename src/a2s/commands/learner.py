@@ -290,5 +290,5 @@ def _banner(run: RunConfig, path: Path, endpoint: str, security: Security, metri
         f"  listens on  {endpoint}{loud}\n"
         f"  metrics     {metrics_url}\n{page}"
         f"  run         {path}\n"
-        f"  join it     a2s actor --n 2{connect}{name}{evaluated}"
+        f"  join it     a2s actor --n {run.n}{connect}{name}{evaluated}"
     )
