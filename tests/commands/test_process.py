@@ -1,5 +1,6 @@
 """Signals: the first one stops in order; a hurried second one ends at once, an echo does not."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -90,6 +91,25 @@ def test_what_a_library_makes_of_a_signal_that_interrupts_its_import_is_not_show
         [sys.executable, "-c", INTERRUPTED, number], capture_output=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
+
+
+FULL = """
+import os, sys
+from a2s.commands.process import check_streams, end_on_signals
+check_streams()
+with end_on_signals():
+    sys.stdout.write("half a line")
+    os.kill(os.getpid(), 15)
+"""
+
+
+def test_a_signal_has_its_exit_code_where_standard_output_is_full() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", FULL], stdout=full, stderr=subprocess.PIPE, check=False,
+            timeout=60, env=os.environ | {"PYTHONUNBUFFERED": ""},
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (143, b"")
 
 
 LOST = """

@@ -114,7 +114,7 @@ def end_on_signals() -> Iterator[None]:
     except BaseException:  # it is passed on, unless it comes of a signal
         if end.interrupted:
             for stream in (sys.stdout, sys.stderr):
-                with contextlib.suppress(OSError, ValueError):
+                with contextlib.suppress(OSError, ValueError, OutputError):
                     stream.flush()
             end.now()
         raise
