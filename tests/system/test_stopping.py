@@ -66,7 +66,13 @@ def test_a_training_whose_learner_is_done_ends(
     ("name", "number", "code", "said"),
     [
         ("learner", signal.SIGTERM, 143, "stopped     go on with: a2s train --resume"),
-        ("actor", signal.SIGKILL, 1, "a2s: process {pid} was ended by SIGKILL; the actors ended"),
+        pytest.param(
+            "actor",
+            signal.SIGKILL,
+            1,
+            "a2s: process {pid} was ended by SIGKILL; the actors ended",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_training_one_of_whose_parts_is_ended_says_so(

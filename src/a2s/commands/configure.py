@@ -10,7 +10,7 @@ from typing import Any
 from a2s.learner.run import config as configuration
 from a2s.learner.run.choice import choose
 from a2s.learner.run.config import Configuration, recovery_of
-from a2s.learner.run.directory import CONFIG
+from a2s.learner.run.directory import CONFIG, claimed
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import A2SError, MalformedMessageError, UsageError
 
@@ -69,11 +69,11 @@ def configure(
 def unfinished(run: str) -> Path | None:
     """The newest run of this name, if it has not ended and no learner is at work there."""
     try:
-        path = run_directory.choose(ROOT, run, None, resume=True)
-        with run_directory.claimed(path):
+        path = choose(ROOT, run, None, resume=True)
+        with claimed(path):
             summary = path / "summary.json"
             has_ended = summary.exists() and json.loads(summary.read_text())["finished"]
-    except (A2SError, OSError, ValueError):  # then there is none that could go on
+    except (A2SError, OSError, ValueError, KeyError, TypeError):  # none that could go on
         return None
     return None if has_ended else path
 

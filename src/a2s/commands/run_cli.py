@@ -62,12 +62,7 @@ def learner(
                 "leave them out"
             )
         config = Path(replay_journal) / "config.toml"
-        run_dir = run_dir or Path(f"{Path(replay_journal)}-again")
-        if run_dir.is_dir() and any(run_dir.iterdir()):
-            raise UsageError(
-                f"--replay-journal: {run_dir} is not empty; delete it, or name another with "
-                "--run-dir"
-            )
+        run_dir = _place_again(replay_journal, run_dir)
     configuration, path = _configure(context, given, config, run_dir)
     if replay_from and configuration.run.prior:
         raise UsageError("--prior: found with --replay-from, expected one of them; leave one out")
@@ -155,6 +150,16 @@ def again_by(context: typer.Context, path: Path) -> str:
     typed = options.given(context, there).typed
     words = ["a2s", str(context.info_name), "--resume", "--run-dir", str(path)]
     return shlex.join([*words, *options.words(context, typed)])
+
+
+def _place_again(journal: str, run_dir: Path | None) -> Path:
+    """Where a run is learned again: in an empty directory."""
+    path = run_dir or Path(f"{Path(journal)}-again")
+    if path.is_dir() and any(path.iterdir()):
+        raise UsageError(
+            f"--replay-journal: {path} is not empty; delete it, or name another with --run-dir"
+        )
+    return path
 
 
 def require_learner() -> None:
