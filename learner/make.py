@@ -127,11 +127,12 @@ def _journal(
     path: Path, ledger: Ledger, saved: Saved | None
 ) -> tuple[Journal, list[Record] | None]:
     """Open the journal of a run, and read what came after a checkpoint; ``None``: nothing can."""
-    journal = Journal(path / "journal", ledger.accepted_steps)
-    if saved is None:
+    folder, place = path / "journal", None if saved is None else saver.place(saved[1])
+    is_kept = place is not None and has(folder, place)  # before an empty one is begun
+    journal = Journal(folder, ledger.accepted_steps)
+    if place is None:
         return journal, None
-    place = saver.place(saved[1])
-    if not has(journal.folder, place):
+    if not is_kept:
         logger.warning("%s: %s", journal.folder, without(place, ledger.accepted_steps))
         return journal, None
     journal.place = place

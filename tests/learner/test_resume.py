@@ -7,6 +7,7 @@ import pytest
 from learners import learner_of
 
 from a2s.actors.environments.environment import Environment
+from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.learner import Learner
 from a2s.learner.run import checkpoint
 from a2s.protocol.env_config import EnvConfig
@@ -121,6 +122,21 @@ def test_without_journal_and_ledger_the_steps_are_those_of_the_checkpoint(tmp_pa
     checkpoint.save(tmp_path / "checkpoints", 0, tensors, state, kind=f"on-policy on {ENV}")
     shutil.rmtree(tmp_path / "journal")
     assert _learner(tmp_path, resume=True).run(lambda: True)["env_steps"] == 100
+
+
+def test_a_journal_that_was_lost_before_the_first_batch_is_said_to_be(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And not taken for the empty one with which a run begins."""
+    _learner(tmp_path, resume=False).run(lambda: True)
+    ledger = Ledger(tmp_path / "segments.log")
+    ledger.record("a", 0, "accepted", 10)
+    ledger.close()
+    shutil.rmtree(tmp_path / "journal")
+    for each in sorted((tmp_path / "checkpoints").iterdir())[1:]:
+        shutil.rmtree(each)
+    assert _learner(tmp_path, resume=True).run(lambda: True)["env_steps"] == 10
+    assert "the 10 steps since then count and are not learned from" in caplog.messages[0]
 
 
 def test_time_goes_on_from_the_last_episode_and_not_from_the_checkpoint(tmp_path: Path) -> None:
