@@ -8,6 +8,7 @@ import os
 import struct
 import threading
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -177,6 +178,24 @@ def without(place: Place, accepted_steps: int) -> str:
             f"{words}; segments.log has {-since:,} steps fewer than that, what is lost is unknown"
         )
     return f"{words}; nothing came after that, and nothing is lost"
+
+
+def require_all(folder: Path, missing: int) -> None:
+    """Require that no steps are missing which the ledger knows.
+
+    Raises:
+        RunDirectoryError: So many are.
+    """
+    if missing > 0:
+        raise RunDirectoryError(
+            f"{folder}: {missing} steps fewer than in segments.log; restore whichever of the two "
+            f"is damaged, or {advice(folder)}"
+        )
+
+
+def num_steps(records: Iterable[Record]) -> int:
+    """Steps of the segments that were stored."""
+    return sum(record.segment.num_steps for record in records if isinstance(record, Stored))
 
 
 def advice(folder: Path) -> str:

@@ -4,11 +4,20 @@ import logging
 from collections.abc import Callable, Sequence
 
 from a2s.learner.feed import Arrival, Feed, in_order
-from a2s.learner.ingest.journal import Begun, Journal, Place, Record, Stored, Taken, advice, read
+from a2s.learner.ingest.journal import (
+    Begun,
+    Journal,
+    Place,
+    Record,
+    Stored,
+    Taken,
+    num_steps,
+    read,
+    require_all,
+)
 from a2s.learner.ingest.ledger import Ledger
 from a2s.learner.ingest.left_over import LeftOver
 from a2s.learner.ingest.store import Store
-from a2s.protocol.errors import RunDirectoryError
 
 logger = logging.getLogger(__name__)
 
@@ -20,15 +29,11 @@ def read_again(journal: Journal, place: Place, ledger: Ledger) -> list[Record]:
         RunDirectoryError: The journal is damaged, or the ledger knows more than it.
     """
     records, size = read(journal.folder, place)
-    stored = [record for record in records if isinstance(record, Stored)]
-    unknown = [s for _, s in stored if not ledger.knows(s.actor, s.seq)]
-    expected = place.accepted_steps + sum(segment.num_steps for _, segment in stored)
+    stored = (record.segment for record in records if isinstance(record, Stored))
+    unknown = [segment for segment in stored if not ledger.knows(segment.actor, segment.seq)]
+    expected = place.accepted_steps + num_steps(records)
     lost = ledger.accepted_steps + sum(segment.num_steps for segment in unknown) - expected
-    if lost > 0:
-        raise RunDirectoryError(
-            f"{journal.folder}: {lost} steps fewer than in segments.log; restore whichever of the "
-            f"two is damaged, or {advice(journal.folder)}"
-        )
+    require_all(journal.folder, lost)
     journal.cut(size)
     for segment in unknown:
         ledger.record(segment.actor, segment.seq, "accepted", segment.num_steps)

@@ -10,6 +10,7 @@ from scripted_actors import Script
 from typer.testing import CliRunner
 
 from a2s.cli import app
+from a2s.learner.run import checkpoint
 from a2s.learner.run.directory import claimed
 
 SMALL = {"policy_sizes": (8,), "value_sizes": (8,), "q_sizes": (8,), "q_steps": 1}
@@ -132,6 +133,21 @@ def test_a_journal_that_is_gone_is_a_note_and_says_what_is_lost(
     found = _findings(path)["journal"]
     assert found["state"] == "note"
     assert "steps since then count and are not learned from" in found["remedy"]
+
+
+def test_a_journal_that_lacks_what_the_ledger_has_is_refused_as_a_resume_does(
+    make_run: Callable[[str], Path],
+) -> None:
+    path = make_run("on-policy")
+    shutil.rmtree(max((path / "checkpoints").iterdir()))
+    _, before = _examine(path)
+    assert before["journal"][0] == "ok"
+    file, end, _ = checkpoint.load(path / "checkpoints")[1]["journal"]
+    for each in (path / "journal").iterdir():
+        each.write_bytes(each.read_bytes()[: end if int(each.name) == file else 0])
+    found = _findings(path)["journal"]
+    assert found["state"] == "fail"
+    assert "steps fewer than in segments.log" in found["found"]
 
 
 def test_of_a_damaged_checkpoint_the_one_before_is_used_where_there_is_one(

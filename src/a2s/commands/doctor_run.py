@@ -101,10 +101,13 @@ def _journal(folder: Path, places: list[journal.Place], accepted_steps: int) -> 
     if not journal.has(folder, places[-1]):
         found, _, lost = journal.without(places[-1], accepted_steps).partition("; ")
         return Finding("journal", "note", f"{folder} {found}", f"--resume goes on: {lost}")
-    return _finding("journal", lambda: _again(folder, places))
+    return _finding("journal", lambda: _again(folder, places, accepted_steps))
 
 
-def _again(folder: Path, places: list[journal.Place]) -> str:
+def _again(folder: Path, places: list[journal.Place], accepted_steps: int) -> str:
+    records, _ = journal.read(folder, places[-1])
+    kept = places[-1].accepted_steps + journal.num_steps(records)
+    journal.require_all(folder, accepted_steps - kept)
     records, _ = journal.read(folder, next(each for each in places if journal.has(folder, each)))
     ends = [record.end for record in records if isinstance(record, journal.Taken)]
     again = sum(end > places[-1] for end in ends)
