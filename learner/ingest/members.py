@@ -138,6 +138,7 @@ class Members:
         self._away: dict[str, Member] = {}
         self._joins: dict[int, int] = {}
         self._newcomers: dict[str, _Newcomer] = {}
+        self._vanished: dict[str, _Newcomer] = {}  # their last words may come after they are gone
         self._seen: set[str] = set()
         self._dropped: dict[str, int] = {}
         self._dropped_before = 0
@@ -215,7 +216,10 @@ class Members:
 
     def leave(self, actor: str) -> Member | None:
         """Remove a member or newcomer; a member is remembered in case it comes back."""
-        self._newcomers.pop(actor, None)
+        newcomer = self._newcomers.pop(actor, None)
+        if newcomer is not None:
+            self._vanished[actor] = newcomer
+            _forget_oldest(self._vanished)
         member = self._present.pop(actor, None)
         if member is not None:
             self._away[actor] = member
@@ -245,7 +249,8 @@ class Members:
         Tells whether it was coming, and comes no more.
         """
         if status.leaving:
-            return self._newcomers.pop(status.actor, None) is not None
+            known = [each.pop(status.actor, None) for each in (self._newcomers, self._vanished)]
+            return any(known)
         if status.actor not in self._away:
             self.coming(status.actor, now_s, status.doing)
         return False

@@ -249,6 +249,24 @@ def test_an_actor_that_leaves_is_no_longer_waited_for(run: IngestRun) -> None:
     assert ("leave", {"actor": "b", "slot": 1, "reason": "lost"}) in run.events
 
 
+@pytest.mark.parametrize("gone_first", [False, True])
+def test_why_an_actor_cannot_join_is_said_once(
+    run: IngestRun, caplog: pytest.LogCaptureFixture, *, gone_first: bool
+) -> None:
+    """Whether its last words or the end of its connection is heard of first."""
+    run.ingest.hello(Hello(actor="a", num_envs=0, env_id="", spaces=None))
+    last = ActorStatus(
+        actor="a", slot=-1, weights_version=0, epoch=0, env_steps=0, episodes=0, segments_sent=0,
+        segments_answered=0, spooled_steps=0, leaving=True, trouble="no such environment",
+    )  # fmt: skip
+    if gone_first:
+        run.ingest.gone("a")
+    run.ingest.status(last)
+    run.ingest.gone("a")
+    run.ingest.status(last)
+    assert caplog.messages == ["actor a cannot join: no such environment"]
+
+
 def test_a_replacement_takes_the_free_place_with_another_seed(run: IngestRun) -> None:
     first, other = run.join("a"), run.join("b")
     run.ingest.gone("a")
