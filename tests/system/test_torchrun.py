@@ -22,7 +22,7 @@ SMALL = (
     "--set", "critic_sizes=16,16", "--set", "policy_sizes=16,16", "--set", "batch_rows=16",
     "--replay-from", "first", "--metrics-port", "-1", "--run-dir",
 )  # fmt: skip
-TORCHRUN = ("torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m")
+TORCHRUN = ("torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "--")
 
 
 @pytest.fixture
