@@ -5,7 +5,6 @@ tells the others, and all do it alike (docs/adr/0037).
 """
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
@@ -17,6 +16,7 @@ from torch import Tensor
 from torch.distributed.rendezvous import rendezvous
 
 from a2s.learner.networks.peers import Peers
+from a2s.learner.torchrun import number_and_count
 from a2s.protocol.errors import A2SError
 
 END = "end"
@@ -90,12 +90,12 @@ def joined() -> Iterator[Processes | None]:
     Raises:
         A2SError: They cannot be reached.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    number, count = number_and_count()
+    if count == 1:
         yield None
         return
     with _told():
-        store, *here = next(rendezvous("env://", timeout=_MEET_WITHIN))
-        number, count = here
+        store, *_ = next(rendezvous("env://", timeout=_MEET_WITHIN))
         torch.distributed.init_process_group(
             "gloo", store=store, rank=number, world_size=count, timeout=_FOR_EVER
         )

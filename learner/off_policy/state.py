@@ -1,6 +1,6 @@
 """Everything that off-policy learning changes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -128,16 +128,16 @@ class TrainState:
         With the critics goes the size of returns, which is their unit.
         """
         parts = {*taken, *(["return_size"] if "critics" in taken else [])}
-        for name, tensor in self.tensors().items():
-            if name.partition(".")[0] in parts:
-                tensor.copy_(self._part(name, stored[name]))
-        for ensemble in (self.policy, self.critics, self.targets):
-            ensemble.refresh()
+        self._take(stored, [name for name in self.tensors() if name.partition(".")[0] in parts])
 
     def load(self, stored: dict[str, Tensor]) -> None:
         """Overwrite all of it by a `state` that fits."""
-        for name, tensor in self.tensors().items():
-            tensor.copy_(self._part(name, stored[name]))
+        self._take(stored, self.tensors())
+
+    def _take(self, stored: dict[str, Tensor], names: Iterable[str]) -> None:
+        present = self.tensors()
+        for name in names:
+            present[name].copy_(self._part(name, stored[name]))
         for ensemble in (self.policy, self.critics, self.targets):
             ensemble.refresh()
 

@@ -108,9 +108,10 @@ def _again(folder: Path, places: list[journal.Place], accepted_steps: int) -> st
     records, _ = journal.read(folder, places[-1])
     kept = places[-1].accepted_steps + journal.num_steps(records)
     journal.require_all(folder, accepted_steps - kept)
-    records, _ = journal.read(folder, next(each for each in places if journal.has(folder, each)))
-    ends = [record.end for record in records if isinstance(record, journal.Taken)]
-    again = sum(end > places[-1] for end in ends)
+    again = sum(isinstance(record, journal.Taken) for record in records)
+    oldest = next(each for each in places if journal.has(folder, each))
+    if oldest != places[-1]:
+        journal.read(folder, oldest)
     return f"{again} batches since the newest whole checkpoint, learned again by --resume"
 
 

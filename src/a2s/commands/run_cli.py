@@ -1,7 +1,6 @@
 """The command lines of ``a2s learner`` and ``a2s train``."""
 
 import importlib.util
-import os
 import shlex
 from contextlib import closing
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 from a2s.commands import options
 from a2s.commands.groups import RUN, taking
 from a2s.commands.process import cores_here, pass_on
+from a2s.learner.torchrun import number_and_count
 from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import DEFAULT_ENDPOINT
@@ -47,7 +47,7 @@ def learner(
     json_: options.Json = False,
 ) -> None:
     """Start the learner of a run; actors join it."""
-    if os.environ.get("RANK", "0") != "0" and not print_config:  # torchrun: the first has the rest
+    if number_and_count()[0] and not print_config:  # the first process has the rest
         require_learner()
         from a2s.commands.follow import follow_first
 
