@@ -27,7 +27,10 @@ Row = dict[str, str]
 
 
 class Table(NamedTuple):
-    """Contenders, as ``module: name``, for each kind of work; ratios are to the ``against``."""
+    """Contenders, as ``module: name``, for each kind of work; ratios are to the ``against``.
+
+    A contender is told the work, the ``seconds``, and the number of the round.
+    """
 
     contenders: tuple[str, ...]
     against: tuple[str, ...]
@@ -62,7 +65,26 @@ TABLES = {
                 ("Humanoid-v5", 1, 16),
             )
         ),
-        "env steps/s", 8.0,
+        "env steps/s", 4.0,
+    ),
+    "suggestions": Table(
+        ("loops: a2s",), (),
+        tuple(f"HalfCheetah-v5 --suggestions {count}" for count in (1, 4, 10, 64, 256)),
+        "env steps/s", 4.0,
+    ),
+    "rows": Table(
+        ("sampling: uniform", "sampling: prioritised"), ("sampling: uniform",),
+        ("10000", "100000", "1000000", "4000000"), "batches/s", 3.0,
+    ),
+    "until-cheetah": Table(
+        ("until: a2s", "until: a2s a2c", "until: sb3 PPO"),
+        ("until: a2s a2c", "until: sb3 PPO"),
+        ("HalfCheetah-v5:3000",), "s", 90.0,
+    ),
+    "until-hopper": Table(
+        ("until: a2s", "until: sb3 PPO", "until: sb3 SAC", "until: sbx SAC"),
+        ("until: sb3 PPO", "until: sb3 SAC", "until: sbx SAC"),
+        ("Hopper-v5:2000",), "s", 90.0,
     ),
     "selecting": Table(
         ("selecting: a2s", "selecting: torch"), ("selecting: torch",),
@@ -70,7 +92,7 @@ TABLES = {
     ),
 }  # fmt: skip
 SUITES = ("learner", "wire", "replay", "startup")  # of ``a2s bench``, which takes turns itself
-LOADS = (1, 10, 100, 300)  # simulated actors of a learner that learns
+LOADS = (1, 10, 100, 300, 1000)  # simulated actors of a learner that learns
 
 
 def make_environment() -> None:
@@ -101,7 +123,8 @@ def measure(name: str, rounds: int) -> list[Row]:
         for turn in range(rounds):
             for contender in table.contenders:
                 module, who = contender.split(": ", 1)
-                value = output_of(f"speed.{module}", who, work, str(table.seconds))
+                how = str(table.seconds), str(turn)
+                value = output_of(f"speed.{module}", who, work, *how)
                 found.append(_row(name, work, contender, turn, value, table.unit))
                 sys.stdout.write(f"{name} {work} {turn} {contender} {float(value):,.0f}\n")
                 sys.stdout.flush()
@@ -226,7 +249,7 @@ def _line(cells: list[str]) -> str:
 def main() -> None:
     """Make the environment, and measure what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    names = [*TABLES, *(f"bench-{suite}" for suite in SUITES), "load"]
+    names = [*TABLES, *(f"bench-{suite}" for suite in SUITES), "load", "flames"]
     parser.add_argument("tables", nargs="*", choices=[*names, []], help="all, if none is named")
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
@@ -236,6 +259,8 @@ def main() -> None:
             keep(measure(name, options.rounds))
         elif name == "load":
             keep(measure_loads(options.rounds))
+        elif name == "flames":
+            output_of("speed.flames")
         else:
             keep(measure_suite(name.removeprefix("bench-"), options.rounds))
 
