@@ -6,7 +6,7 @@ network".
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -17,6 +17,8 @@ from a2s.learner.networks.compiled import run_together, vectors
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.on_policy import categorical, fit_kernels
 from a2s.protocol.fields import Array
+
+_Work = TypeVar("_Work")
 
 
 class Fits(NamedTuple):
@@ -70,14 +72,20 @@ class Fit(NamedTuple):
     steps: int
 
 
-def fit_together(*fits: Fit) -> list[float]:
-    """Make fits side by side; returns the mean loss of a step of each."""
-    losses = iter(run_together([call for fit in fits for call in fit.calls]))
-    found = []
-    for fit in fits:
-        fit.optimiser.steps += fit.steps
-        found.append(sum(next(losses) for _ in fit.calls) / fit.steps / len(fit.calls))
-    return found
+def make(fit: Fit) -> float:
+    """Make a fit, its networks side by side; returns the mean loss of a step."""
+    return _finish(fit, run_together(fit.calls))
+
+
+def make_beside(work: Callable[[], _Work], fit: Fit) -> tuple[_Work, float]:
+    """Make a fit while this thread does other work; returns what that gives, and the loss."""
+    done, *losses = run_together([work, *fit.calls])
+    return done, _finish(fit, losses)
+
+
+def _finish(fit: Fit, losses: Sequence[float]) -> float:
+    fit.optimiser.steps += fit.steps
+    return sum(losses) / fit.steps / len(fit.calls)
 
 
 def value_fit(

@@ -219,6 +219,21 @@ def expected(
 
 
 @compiled  # type: ignore[untyped-decorator]
+def share_that_counts(below_best: Array, inverse_temperature: float) -> Any:
+    """See `suggestions.share_that_counts`; scores ``[N, K]`` less the best of their state."""
+    weights = exp_of(below_best.reshape(below_best.size) * _F(inverse_temperature))
+    rows, count = below_best.shape
+    total = 0.0
+    for n in range(rows):
+        whole, squares = _ZERO, _ZERO
+        for j in range(n * count, (n + 1) * count):
+            whole += weights[j]
+            squares += weights[j] * weights[j]
+        total += float(whole * whole / squares)
+    return total / rows / count
+
+
+@compiled  # type: ignore[untyped-decorator]
 def exp_of(x: Array) -> Any:
     """All of them in one loop: rows of 51 would leave a part that is not vectorised."""
     out = np.empty_like(x)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from a2s.learner.networks.adam import Adam
-from a2s.learner.networks.compiled import run_together, vectors
+from a2s.learner.networks.compiled import outputs, run_together, vectors
 from a2s.learner.networks.gaussian import HALF_LOG_2PI, Policy
 from a2s.learner.on_policy import fit_kernels
 from a2s.learner.on_policy.critics import bounds, num_minibatches
@@ -134,7 +134,8 @@ def improve(
         (losses,) = run_together([run])
         optimiser.steps += count
         passes += 1
-        moved = gaussian_kl(policy(data.obs), policy.log_std, data.mean, data.log_std)
+        (mean,) = outputs((policy.network, data.obs))
+        moved = gaussian_kl(mean, policy.log_std, data.mean, data.log_std)
         kl = float(moved.sum(1).mean())
     policy_loss, pull_loss = (each / count for each in losses)
     steps = passes * count if data.wanted is not None else 0

@@ -5,6 +5,7 @@ Source: algorithm 1 of the paper, with equations 5 and 6 of section 4.1.1, the l
 """
 
 from dataclasses import replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from a2s.learner.networks.gaussian import log_density
 from a2s.learner.on_policy.acting import Suggester
 from a2s.learner.on_policy.batch import Batch, BatchSize
 from a2s.learner.on_policy.config import OnPolicyConfig
-from a2s.learner.on_policy.critics import Fits, fit_together, q_fit, value_fit
+from a2s.learner.on_policy.critics import Fit, Fits, make, make_beside, q_fit, value_fit
 from a2s.learner.on_policy.learning_rate import LearningRate
 from a2s.learner.on_policy.policy import PolicyChange, PolicyData, importance, improve, normalised
 from a2s.learner.on_policy.q_learning import (
@@ -130,10 +131,13 @@ class OnPolicy(TrainState):
                 targets = self._ask_q(data, targets)
                 wanted = self._q_targets(batch)
             self.returns.update(targets.target)
-            fits = self._fit(data.obs, targets.target, wanted, critic_rate, q_rate)
+            value = self._value_fit(data.obs, targets.target, critic_rate)
             if wanted is not None:
+                fits = self._fit_q(wanted, q_rate)
                 pull = self._suggest(data)  # equation 6
-            change = self._improve(data, pull, rate, progress)  # equation 4
+            improve = partial(self._improve, data, pull, rate, progress)  # equation 4
+            change, value_loss = make_beside(improve, value)
+            fits = fits._replace(value_loss=value_loss, value_fit_steps=value.steps)
             change = change._replace(advantage_std=float(targets.advantage.std(correction=0)))
             self.learning_rate.last_kl = change.kl
         self.end_update()
@@ -175,29 +179,23 @@ class OnPolicy(TrainState):
         config = self.config
         return q_targets(self.window.joined(), self, gamma=config.gamma, lam=config.q_lambda)
 
-    def _fit(
-        self,
-        norm_obs: Tensor,
-        target: Tensor,
-        wanted: QTargets | None,
-        critic_rate: float,
-        q_rate: float,
-    ) -> Fits:
-        """Fit V to the batch and Q to the window, side by side; from now on Q may choose."""
+    def _value_fit(self, norm_obs: Tensor, target: Tensor, learning_rate: float) -> Fit:
+        """What fits V to the batch, for targets in returns; the policy's step needs no V."""
         config = self.config
-        value = value_fit(
+        return value_fit(
             self.fit_of_value(norm_obs),
             self.returns.normalise(target),
             epochs=config.critic_epochs,
             minibatch=config.critic_minibatch,
             min_minibatches=config.min_minibatches,
-            learning_rate=critic_rate,
+            learning_rate=learning_rate,
             max_grad_norm=config.max_grad_norm,
             generator=self.generators["order"],
         )
-        if wanted is None:
-            (value_loss,) = fit_together(value)
-            return Fits(value_loss=value_loss, value_fit_steps=value.steps)
+
+    def _fit_q(self, wanted: QTargets, learning_rate: float) -> Fits:
+        """Fit both Q to the window, side by side; from now on they may choose."""
+        config = self.config
         newest = self.window.kept[-1][1].num_steps
         q = q_fit(
             self.q_net,
@@ -206,12 +204,12 @@ class OnPolicy(TrainState):
             in_outputs(self, wanted.target),
             steps=max(round(config.q_steps * newest / config.batch_steps), 1),
             minibatch=config.q_minibatch,
-            learning_rate=q_rate,
+            learning_rate=learning_rate,
             generator=self.generators["q"],
         )
-        q_loss, value_loss = fit_together(q, value)
+        fits = Fits(q_loss=make(q), q_fit_steps=q.steps)
         self.q_trusted = True
-        return Fits(q_loss, value_loss, q.steps, value.steps)
+        return fits
 
     def _suggest(self, data: PolicyData) -> Pull:
         """Ask Q for its opinion of K fresh suggestions in every state of the batch."""

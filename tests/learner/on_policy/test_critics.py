@@ -1,6 +1,7 @@
 """Fitting V and Q."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -13,7 +14,8 @@ from a2s.learner.on_policy import categorical
 from a2s.learner.on_policy.critics import (
     Fit,
     Regression,
-    fit_together,
+    make,
+    make_beside,
     num_minibatches,
     q_fit,
     value_fit,
@@ -53,7 +55,7 @@ def fit(value: Regression, target: Tensor, epochs: int = 1, rate: float = 0.05) 
 def test_passes_learn_a_linear_target() -> None:
     """A hundred passes are plenty."""
     job, target = job_of()
-    fit_together(fit(job, target, 100))
+    make(fit(job, target, 100))
     assert float((predict(job) - target).square().mean()) < 1e-3
     assert int(job.optimiser.steps) == 300
 
@@ -62,7 +64,7 @@ def test_loss_is_the_mean_squared_error() -> None:
     """At rate 0 the mean of passes over equal parts is that of the batch."""
     job, target = job_of()
     expected = float((predict(job) - target).square().mean())
-    (loss,) = fit_together(fit(job, target, 2, rate=0.0))
+    loss = make(fit(job, target, 2, rate=0.0))
     assert loss == pytest.approx(expected, rel=1e-5)
 
 
@@ -75,18 +77,17 @@ def test_q_learns_what_it_is_told() -> None:
     adam = Adam(q_net.value)
     losses = []
     for steps in (1, 600, 1):
-        losses += fit_together(
-            q_fit(
-                q_net,
-                adam,
-                inputs,
-                target,
-                steps=steps,
-                minibatch=64,
-                learning_rate=3e-3,
-                generator=generator,
-            )
+        some = q_fit(
+            q_net,
+            adam,
+            inputs,
+            target,
+            steps=steps,
+            minibatch=64,
+            learning_rate=3e-3,
+            generator=generator,
         )
+        losses.append(make(some))
     values = torch.linspace(-categorical.HALF_RANGE, categorical.HALF_RANGE, categorical.BINS)
     wrong = q_net(inputs).softmax(-1) @ values - target
     assert wrong.shape == (2, 512)
@@ -121,7 +122,7 @@ def test_steps_are_those_of_the_layers() -> None:
         both[0], adams[0], inputs, target, steps=3, minibatch=20, learning_rate=1e-2,
         generator=torch.Generator().manual_seed(2),
     )  # fmt: skip
-    q_loss, value_loss = fit_together(q, fit(jobs[0], target, 2, 1e-2))
+    q_loss, value_loss = make_beside(partial(make, q), fit(jobs[0], target, 2, 1e-2))
 
     order, losses = torch.Generator().manual_seed(5), []
     for _ in range(2):
