@@ -13,8 +13,9 @@ _HEAD = """# Commands
 
 Made from the code by `make docs`; do not edit. `a2s COMMAND --help` says the same.
 
-- Every option can be given by a variable: `--total-steps` by `A2S_TOTAL_STEPS`. The option comes
-  first, then the variable, then `--config`, then the default ([configuration](configuration.md)).
+- Every option of `a2s learner`, `a2s actor` and `a2s train`, also where another command has it, can
+  be given by a variable: `--total-steps` by `A2S_TOTAL_STEPS`. The option comes first, then the
+  variable, then `--config`, then the default ([configuration](configuration.md)).
 - A number of steps may be written as `1e6`.
 - `--json` prints one JSON object as the last line of standard output, and all else elsewhere.
 - Exit codes: 0 done, 1 failed, 2 a mistake in the command, 128 and its number after a signal

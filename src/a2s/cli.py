@@ -30,7 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Train continuous control with many actors and one learner: the policy suggests, Q picks."
-    "\n\nEvery option can be given by a variable: --total-steps by A2S_TOTAL_STEPS.",
+    "\n\nEvery option of a run can be given by a variable: --total-steps by A2S_TOTAL_STEPS.",
 )
 app.add_typer(replay_cli.app, name="replay")
 
@@ -281,7 +281,7 @@ def tune(
             None,
             "--space",
             metavar="KEY=RANGE",
-            show_default="nine of the usual ones",
+            show_default="nine of the usual ones, off-policy six",
             help="LOW..HIGH, LOW..HIGH:log or VALUE,VALUE of a hyperparameter; may be repeated.",
         ),
     ] = None,

@@ -222,7 +222,7 @@ Set = Annotated[list[str] | None, option(
     help="KEY=VALUE of any hyperparameter (--print-config shows them); may be repeated.",
 )]
 Lockstep = Annotated[bool | None, option(
-    _ALGORITHM, "--lockstep/--async", show_default="lockstep",
+    _ALGORITHM, "--lockstep/--async", show_default="lockstep, off-policy async",
     help="Use each version for one batch, reproducibly; or never let actors wait.",
 )]
 PrintConfig = Annotated[bool, option(
@@ -234,10 +234,11 @@ Mode = Annotated[str, option(
 )]
 
 N = Annotated[int | None, whole_number(
-    _PLACE, "--n", "-n", low=1, help="Actor processes.",
+    _PLACE, "--n", "-n", low=1, show_default="1; a2s train by the cores, up to 8",
+    help="Actor processes; a learner waits for so many before it begins.",
 )]
 Envs = Annotated[int | None, whole_number(
-    _PLACE, "--envs", low=1, high=4096, show_default="8",
+    _PLACE, "--envs", low=1, high=4096, show_default="the learner's, 8; a2s train 16 in all",
     help="Environments in each actor process.",
 )]
 Threads = Annotated[int | None, whole_number(
@@ -304,7 +305,7 @@ AllowEnv = Annotated[list[str] | None, option(
     "be repeated. What Gymnasium knows needs none.",
 )]
 FastEnvs = Annotated[bool, option(
-    _PLACE, "--fast-envs/--no-fast-envs",
+    _PLACE, "--fast-envs/--no-fast-envs", show_default="on",
     help="Step Gymnasium's own MuJoCo environments without what a run does not read, to the same "
     "results; or with it.",
 )]
@@ -316,7 +317,7 @@ SpoolSteps = Annotated[int | None, whole_number(  # the former name of the same
     None, "--spool-steps", low=1, hidden=True,
 )]
 MetricsPort = Annotated[int | None, whole_number(
-    _PLACE, "--metrics-port", low=-1, high=65535,
+    _PLACE, "--metrics-port", low=-1, high=65535, show_default="9464, a2s actor 9465",
     help="Port of /metrics: 0 takes any free one, -1 serves none.",
 )]
 MetricsHost = Annotated[str, option(
