@@ -102,7 +102,9 @@ def describe(path: Path) -> Description:
             source=str(document.get("source", "")),
         )
     except FileNotFoundError:
-        raise RunDirectoryError(f"{path}: holds no replay, it has no {NAME}") from None
+        raise RunDirectoryError(
+            f"{path}: holds no replay, it has no {NAME}; off-policy runs have one"
+        ) from None
     except (
         OSError,
         ValueError,
