@@ -213,3 +213,13 @@ def test_actors_that_cannot_work_end_the_training_with_the_reason(
     assert "died 5 times" in last
     assert "the simulator is broken" in last
     assert "Traceback" not in train.text()
+
+
+def test_an_environment_that_is_not_there_is_told_by_the_learner_and_leaves_no_run(
+    start: Start, tmp_path: Path
+) -> None:
+    """Its actors, which begin sooner, cannot find it either."""
+    train = start("train", "--env", "./nope.py:Robot", "--run-dir", "run")
+    assert train.process.wait(PATIENCE_S) == 2
+    assert train.text().strip().endswith(f"found no such file, nor nope.py in {tmp_path}")
+    assert not (tmp_path / "run").exists()

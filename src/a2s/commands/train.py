@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -171,7 +171,7 @@ def _run(
             evaluator = stack.enter_context(
                 started(evaluator_options, other_log, niceness=_NICENESS)
             )
-        _wait(learner, actors, evaluator, path, stop)
+        _wait(learner, actors, evaluator, path, stop, lambda: _starts(path) != before)
     remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
     # A learner that is still starting, or whose work is done, ends at once.
     if stop.interrupted and learner.returncode == -signal.SIGTERM:
@@ -191,12 +191,18 @@ def _starts(path: Path) -> bytes:
 
 
 def _wait(
-    learner: Process, actors: Process, evaluator: Process | None, path: Path, stop: Stop
+    learner: Process,
+    actors: Process,
+    evaluator: Process | None,
+    path: Path,
+    stop: Stop,
+    has_begun: Callable[[], bool],
 ) -> None:
     while learner.poll() is None:
         if stop.wait(_POLL_S):
             return
-        if actors.poll() is not None:
+        # Of a mistake that keeps both from beginning, the learner says it better.
+        if actors.poll() is not None and has_begun():
             log = path / ACTORS_LOG
             raise A2SError(f"{_why(actors, log)}; the actors ended, see {log}")
         if evaluator is not None and evaluator.poll() is not None:
