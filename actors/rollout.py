@@ -13,7 +13,7 @@ from a2s.actors.suggester import Choice, Suggester
 from a2s.actors.troubles import Troubles
 from a2s.protocol.codec import MAX_BYTES, MIB
 from a2s.protocol.errors import FaultyEnvironmentError, MalformedMessageError
-from a2s.protocol.fields import Array
+from a2s.protocol.fields import Array, is_within
 from a2s.protocol.messages import ENDLESS_STEPS, MAX_PLAYED, EpisodeMetric, Notice, Segment
 
 MAX_USELESS_IN_A_ROW = 10
@@ -260,10 +260,8 @@ class Rollout:
 
 
 def is_usable(obs: Array) -> bool:
-    """Whether all numbers can be sent: the square of any other is too large or not a number."""
-    flat = obs.reshape(-1)
-    square = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
-    return square <= MAX_PLAYED * MAX_PLAYED or bool((np.abs(flat) <= MAX_PLAYED).all())
+    """Whether all numbers can be sent."""
+    return is_within(obs, MAX_PLAYED)
 
 
 def wrong_in(obs: Array) -> str:

@@ -19,6 +19,13 @@ def require_finite(subject: str, **arrays: Array) -> None:
         require(bad == 0, f"{subject}: {name}", f"{bad} non-finite values", "finite numbers")
 
 
+def is_within(x: Array, most: float) -> bool:
+    """Whether no number is larger in size than ``most``, or none at all."""
+    flat = x.reshape(-1)
+    squares = float(np.vdot(flat, flat))  # unlike dot, it does not warn of what it is to find
+    return squares <= most * most or bool((np.abs(flat) <= most).all())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spaces:
     """The flat Box spaces of an environment, in its own units; arrays are float32."""
