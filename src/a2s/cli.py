@@ -265,49 +265,7 @@ app.command()(results_cli.plot)
 app.command()(results_cli.compare)
 
 
-@app.command()
-@groups.taking(groups.ENVIRONMENT, groups.ALGORITHM)
-def tune(
-    context: typer.Context,
-    trials: Annotated[
-        int, options.whole_number(None, "--trials", low=1, help="Trials in all, resumed ones too.")
-    ] = 30,
-    parallel: Annotated[
-        int, options.whole_number(None, "--parallel", low=1, help="Trials at once.")
-    ] = 1,
-    space: Annotated[
-        list[str] | None,
-        options.option(
-            None,
-            "--space",
-            metavar="KEY=RANGE",
-            show_default="nine of the usual ones, off-policy six",
-            help="LOW..HIGH, LOW..HIGH:log or VALUE,VALUE of a hyperparameter; may be repeated.",
-        ),
-    ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the search.")] = Path(
-        "tune"
-    ),
-    settings: options.Set = None,
-    json_: options.Json = False,
-) -> None:
-    """Search for hyperparameters with Optuna; the best are a file for --config."""
-    run_cli.require_learner()
-    from a2s.commands.process import stop_on_signals
-    from a2s.commands.tune import Search, default_space, line, parse_range
-    from a2s.commands.tune import tune as search_for
-
-    given = options.named(context, [*groups.ENVIRONMENT, *groups.ALGORITHM])
-    ranges = [parse_range(text) for text in space or default_space(given["variant"], given["algo"])]
-    words = options.words(context, given)
-    search = Search(output.absolute(), words, given, settings or [], ranges)
-    with stop_on_signals() as stop:
-        found = search_for(
-            search, trials=trials, parallel=parallel, seed=given["seed"] or 0, stop=stop
-        )
-    if found:
-        typer.echo(json.dumps(found) if json_ else line(found))
-    raise typer.Exit(stop.exit_code)
+app.command()(run_cli.tune)
 
 
 app.command()(bench_cli.bench)

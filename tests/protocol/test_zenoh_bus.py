@@ -16,7 +16,7 @@ from queue import SimpleQueue
 
 import pytest
 
-from a2s.protocol import zenoh_bus
+from a2s.protocol import zenoh_session
 from a2s.protocol.errors import MalformedMessageError, UnreachableError, UsageError
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -150,7 +150,7 @@ def test_nobody_listening_is_said_and_waited_for_as_long_as_the_caller_wants(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """An attempt takes about a second; a long wait says what it waits for."""
-    monkeypatch.setattr(zenoh_bus, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(zenoh_session, "_PATIENCE_S", 0.0)
     attempts = itertools.count(1)
     begin = time.monotonic()
     with caplog.at_level(logging.WARNING), pytest.raises(UnreachableError) as caught:

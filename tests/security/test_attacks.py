@@ -16,7 +16,7 @@ import zenoh
 from learners import SPACES
 from secured import Site
 
-from a2s.protocol import zenoh_bus
+from a2s.protocol import zenoh_bus, zenoh_session
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
@@ -107,7 +107,7 @@ def test_a_rogue_that_is_no_client_can_do_no_more(
 ) -> None:
     """Links between routers are bound by the same rules."""
     settings = {"connect/endpoints": [site.endpoint], "listen/endpoints": []}
-    config = zenoh_bus._config(mode, {**settings, **security("actor").peer("actor").settings})
+    config = zenoh_session.configure(mode, {**settings, **security("actor").peer("actor").settings})
     victim, heard = site.peer("actor-lab1"), list[bytes]()
     victim.subscribe(site.keys.notice, heard.append)
     with closing(zenoh_bus.ZenohBus(zenoh.open(config))) as rogue:

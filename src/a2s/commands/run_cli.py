@@ -1,15 +1,16 @@
-"""The command lines of ``a2s learner`` and ``a2s train``."""
+"""The command lines of ``a2s learner``, ``a2s train`` and ``a2s tune``."""
 
 import importlib.util
+import json
 import shlex
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from a2s.commands import options
-from a2s.commands.groups import RUN, taking
+from a2s.commands.groups import ALGORITHM, ENVIRONMENT, RUN, taking
 from a2s.commands.process import cores_here, pass_on
 from a2s.learner.torchrun import number_and_count
 from a2s.protocol.errors import UsageError
@@ -199,3 +200,47 @@ def _configure(
     if not resume and run_dir is None and (other := unfinished(configuration.run.run)) is not None:
         typer.echo(f"{other} has not ended; --resume goes on with it", err=True)
     return configuration, path
+
+
+@taking(ENVIRONMENT, ALGORITHM)
+def tune(
+    context: typer.Context,
+    trials: Annotated[
+        int, options.whole_number(None, "--trials", low=1, help="Trials in all, resumed ones too.")
+    ] = 30,
+    parallel: Annotated[
+        int, options.whole_number(None, "--parallel", low=1, help="Trials at once.")
+    ] = 1,
+    space: Annotated[
+        list[str] | None,
+        options.option(
+            None,
+            "--space",
+            metavar="KEY=RANGE",
+            show_default="nine of the usual ones, off-policy six",
+            help="LOW..HIGH, LOW..HIGH:log or VALUE,VALUE of a hyperparameter; may be repeated.",
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Directory of the search.")] = Path(
+        "tune"
+    ),
+    settings: options.Set = None,
+    json_: options.Json = False,
+) -> None:
+    """Search for hyperparameters with Optuna; the best are a file for --config."""
+    require_learner()
+    from a2s.commands.process import stop_on_signals
+    from a2s.commands.tune import Search, default_space, line, parse_range
+    from a2s.commands.tune import tune as search_for
+
+    given = options.named(context, [*ENVIRONMENT, *ALGORITHM])
+    ranges = [parse_range(text) for text in space or default_space(given["variant"], given["algo"])]
+    words = options.words(context, given)
+    search = Search(output.absolute(), words, given, settings or [], ranges)
+    with stop_on_signals() as stop:
+        found = search_for(
+            search, trials=trials, parallel=parallel, seed=given["seed"] or 0, stop=stop
+        )
+    if found:
+        typer.echo(json.dumps(found) if json_ else line(found))
+    raise typer.Exit(stop.exit_code)
