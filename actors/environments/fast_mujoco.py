@@ -86,7 +86,7 @@ class FastSteps:
 def fast_steps(env: "gymnasium.Env[Any, Any]") -> FastSteps | None:
     """Give the fast steps of an environment; ``None``: it is none of these, or is wrapped."""
     layer: Any = env
-    while isinstance(layer, wrappers.TimeLimit | wrappers.OrderEnforcing):
+    while type(layer) in (wrappers.TimeLimit, wrappers.OrderEnforcing):
         layer = layer.env
     parts_of = _PARTS.get(type(layer))
     known = gymnasium.__version__.startswith(_COMPARED_WITH)

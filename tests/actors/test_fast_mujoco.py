@@ -83,7 +83,11 @@ def test_others_are_stepped_as_they_are() -> None:
     class Own(HopperEnv):
         pass
 
+    class OwnLimit(gymnasium.wrappers.TimeLimit):
+        pass
+
     assert fast_steps(Own()) is None
+    assert fast_steps(OwnLimit(HopperEnv(), 9)) is None
     assert fast_steps(HopperEnv()) is not None
 
 
