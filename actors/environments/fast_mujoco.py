@@ -28,8 +28,6 @@ from gymnasium.envs.mujoco import (
     walker2d_v5,
 )
 
-from a2s.actors.environments.making import limit_of
-
 _COMPARED_WITH = "1.4."  # of Gymnasium: the tests compare with it
 
 _Floats = npt.NDArray[np.float64]
@@ -57,11 +55,11 @@ class _Parts(NamedTuple):
 class FastSteps:
     """Steps ``env``, which has Gymnasium's own wrappers only, and counts to its time limit."""
 
-    def __init__(self, inner: Any, parts: _Parts, limit: int | None) -> None:
+    def __init__(self, inner: Any, parts: _Parts, limit: float) -> None:
         self._model, self._data, self._frames = inner.model, inner.data, inner.frame_skip
         self._ctrl = inner.data.ctrl
         self._place_of, self._judge, self._obs, self._needs_forces = parts
-        self._limit = math.inf if limit is None else limit
+        self._limit = limit
         self.begin()
 
     def begin(self) -> None:
@@ -86,13 +84,16 @@ class FastSteps:
 def fast_steps(env: "gymnasium.Env[Any, Any]") -> FastSteps | None:
     """Give the fast steps of an environment; ``None``: it is none of these, or is wrapped."""
     layer: Any = env
+    limits = []
     while type(layer) in (wrappers.TimeLimit, wrappers.OrderEnforcing):
+        if type(layer) is wrappers.TimeLimit:
+            limits.append(layer._max_episode_steps)
         layer = layer.env
     parts_of = _PARTS.get(type(layer))
     known = gymnasium.__version__.startswith(_COMPARED_WITH)
     if parts_of is None or layer.render_mode is not None or not known:
         return None
-    return FastSteps(layer, parts_of(layer), limit_of(env))
+    return FastSteps(layer, parts_of(layer), min(limits, default=math.inf))
 
 
 def _half_cheetah(env: Any) -> _Parts:

@@ -91,6 +91,13 @@ def test_others_are_stepped_as_they_are() -> None:
     assert fast_steps(HopperEnv()) is not None
 
 
+@pytest.mark.parametrize("outer", [3, 9])
+def test_of_two_limits_the_shorter_counts(outer: int) -> None:
+    fast = fast_of(gymnasium.wrappers.TimeLimit(make("Pusher", max_episode_steps=5), outer))
+    ends = [fast.step(np.zeros(7, np.float32))[3] for _ in range(5)]
+    assert ends.index(True) + 1 == min(outer, 5)
+
+
 def test_another_gymnasium_steps_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its formulas were compared with one version."""
     monkeypatch.setattr(gymnasium, "__version__", "1.5.0")
