@@ -82,7 +82,7 @@ class FastSteps:
 
 
 def fast_steps(env: "gymnasium.Env[Any, Any]") -> FastSteps | None:
-    """Give the fast steps of an environment; ``None``: it is none of these, or is wrapped."""
+    """Give the fast steps of an environment; ``None``: it is none of these, wrapped or changed."""
     layer: Any = env
     limits = []
     while type(layer) in (wrappers.TimeLimit, wrappers.OrderEnforcing):
@@ -91,9 +91,14 @@ def fast_steps(env: "gymnasium.Env[Any, Any]") -> FastSteps | None:
         layer = layer.env
     parts_of = _PARTS.get(type(layer))
     known = gymnasium.__version__.startswith(_COMPARED_WITH)
-    if parts_of is None or layer.render_mode is not None or not known:
+    if parts_of is None or layer.render_mode is not None or not known or _is_changed(layer):
         return None
     return FastSteps(layer, parts_of(layer), min(limits, default=math.inf))
+
+
+def _is_changed(env: Any) -> bool:
+    """Whether a method of its class was replaced in this object."""
+    return any(callable(found) and hasattr(type(env), name) for name, found in vars(env).items())
 
 
 def _half_cheetah(env: Any) -> _Parts:

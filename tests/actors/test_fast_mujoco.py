@@ -91,6 +91,12 @@ def test_others_are_stepped_as_they_are() -> None:
     assert fast_steps(HopperEnv()) is not None
 
 
+def test_a_method_that_was_replaced_in_the_object_is_called() -> None:
+    changed: Any = HopperEnv()
+    changed._get_rew = lambda velocity, action: (7.0, {})
+    assert fast_steps(changed) is None
+
+
 @pytest.mark.parametrize("outer", [3, 9])
 def test_of_two_limits_the_shorter_counts(outer: int) -> None:
     fast = fast_of(gymnasium.wrappers.TimeLimit(make("Pusher", max_episode_steps=5), outer))
