@@ -155,16 +155,20 @@ def _sum(name: str, data: bytes) -> bytes:
 
 def _free(folder: Path, name: str) -> Path:
     """Find a name that sorts last; existing files are never replaced, so a kill cannot lose any."""
-    same = [path for path in all_of(folder) if path.name.startswith(name)]
-    if not same:
-        return folder / name
-    count = int(same[-1].name.partition("-")[2] or 0) + 1
-    return folder / f"{name}-{count:04d}"
+    same = [count for updates, count in map(_order, all_of(folder)) if updates == int(name)]
+    return folder / f"{name}-{same[-1] + 1:04d}" if same else folder / name
 
 
 def all_of(folder: Path) -> list[Path]:
     """Find the checkpoints in a folder, the newest last."""
-    return sorted(path for path in folder.glob("[0-9]*") if _NAME.fullmatch(path.name))
+    found = (path for path in folder.glob("[0-9]*") if _NAME.fullmatch(path.name))
+    return sorted(found, key=_order)
+
+
+def _order(path: Path) -> tuple[int, int]:
+    """The updates and the count in a checkpoint's name: with more digits text sorts otherwise."""
+    updates, _, count = path.name.partition("-")
+    return int(updates), int(count or 0)
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -44,6 +44,15 @@ def test_the_newest_is_loaded_and_three_are_kept(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["00000040", "00000060", "00001000"]
 
 
+def test_the_newest_is_that_of_most_updates_however_many_digits_they_have(tmp_path: Path) -> None:
+    for updates in (99_999_800, 99_999_900, 100_000_000, 100_000_000, 100_000_100):
+        checkpoint.save(tmp_path, updates, TENSORS, {"updates": updates}, kind="k")
+    assert [each.name for each in checkpoint.all_of(tmp_path)] == [
+        "100000000", "100000000-0001", "100000100"
+    ]  # fmt: skip
+    assert checkpoint.load(tmp_path, kind="k")[1] == {"updates": 100_000_100}
+
+
 def test_one_of_the_same_update_takes_the_place_of_none(tmp_path: Path) -> None:
     """Whoever is killed while it is written loses nothing."""
     for count in range(5):
