@@ -32,11 +32,12 @@ _MIN_HOLD_S = 0.02
 class OwnReplay:
     """A `Store` and the `Source` of an `OffPolicyTrainer`: segments go in, batches come out.
 
-    ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows
-    that had not been learned from by then are taken back if they come ``again``, else they belong
-    to the next batch. ``prior`` has a share of every batch. ``replay`` has the rows:
-    those of a batch are inserted when it is closed, in an order that does not depend on that of
-    their arrival, so that what is drawn does not depend on time; until then the journal has them.
+    ``ledger`` knows which segments were acknowledged. ``saved`` is a `state` to go on from; rows of
+    batches that were not closed by then are taken back if they come ``again``. All others that had
+    not been learned from belong to the next batch. ``prior`` has a share of every batch.
+    ``replay`` has the rows: those of a batch are inserted when it is closed, in an order that does
+    not depend on that of their arrival, so that what is drawn does not depend on time; until then
+    the journal has them.
 
     Raises:
         RunDirectoryError: The replay cannot be made or opened, or ``saved`` does not fit.
@@ -75,7 +76,8 @@ class OwnReplay:
         self._update_s = 0.01
         self._waiting: list[tuple[int, Segment]] = []
         self._num_learned = saved["learned_from"] if saved else 0  # of all rows ever inserted
-        self.replay = _open(path, env_id, spaces, hyper, ledger, self._num_learned, again=again)
+        num_closed = saved.get("closed", self._num_learned) if saved else 0
+        self.replay = _open(path, env_id, spaces, hyper, ledger, num_closed, again=again)
         num_rows = self.replay.live.stop
         self._limiter.count_insert(num_rows)
         if saved is not None:
@@ -166,6 +168,7 @@ class OwnReplay:
         self.replay.flush()
         return {
             "learned_from": self._num_learned,
+            "closed": self._num_closed,  # more at the end of a run: its last batch is not learned
             "limiter": self._limiter.state(self._num_learned),
             "highest_priority": self.replay.highest_priority,
             "rng": self._rng.bit_generator.state,
@@ -207,14 +210,14 @@ def _open(
     spaces: Spaces,
     hyper: OffPolicyConfig,
     ledger: Ledger,
-    num_learned: int,
+    num_closed: int,
     *,
     again: bool,
 ) -> Replay:
     """Open the replay that is there, given the wanted capacity; else make one."""
     alpha, capacity, batch_size = hyper.priority_exponent, hyper.replay_rows, hyper.batch_rows
     if not (path / files.NAME).exists():
-        if num_learned:
+        if num_closed:
             raise RunDirectoryError(
                 f"replay {path}: is not there any more; restore it, or begin another run with "
                 f"--init-from {path.parent}"
@@ -227,7 +230,7 @@ def _open(
         capacity=capacity,
         batch_size=batch_size,
         is_known=ledger.knows,
-        least_rows=num_learned,
-        most_rows=num_learned if again else None,
+        least_rows=num_closed,
+        most_rows=num_closed if again else None,
         alpha=alpha,
     )

@@ -62,14 +62,23 @@ def make(tmp_path: Path) -> Learn:
     """Make one, in the directory ``place``."""
 
     def made(
-        place: str = "run", env_id: str = "Test-v0", saved: Saved | None = None, **options: Any
+        place: str = "run",
+        env_id: str = "Test-v0",
+        saved: Saved | None = None,
+        *,
+        again: bool = False,
+        **options: Any,
     ) -> _Run:
         path = tmp_path / place
         path.mkdir(exist_ok=True)
         ledger = Ledger(path / "segments.log")
         hyper = off_policy("modern", {**SMALL, **options})
         run = RunConfig(env=env_id, variant="off-policy", seed=7)
-        return _Run(*make_off_policy(run, SPACES, hyper, path, ledger, {}, LearnerMetrics(), saved))
+        return _Run(
+            *make_off_policy(
+                run, SPACES, hyper, path, ledger, {}, LearnerMetrics(), saved, again=again
+            )
+        )
 
     return made
 
@@ -254,6 +263,23 @@ def test_what_came_after_the_checkpoint_belongs_to_the_next_batch(
     assert float(tensors["normaliser.count"]) == scalars["learned_from"] == len(obs)
     np.testing.assert_allclose(tensors["normaliser.mean"], obs.mean(0), rtol=1e-12)
     np.testing.assert_allclose(tensors["normaliser.variance"], obs.var(0), rtol=1e-12)
+
+
+def test_what_came_with_the_end_of_a_run_is_learned_from_by_who_goes_on(
+    make: Learn, tmp_path: Path
+) -> None:
+    """It was closed as a batch without learning; what comes again is what came after that."""
+    run = make()
+    run.play(0, 8, tmp_path / "run")
+    run.store([8, 9], tmp_path / "run")
+    run.replay.close_batch()
+    saved = run.trainer.state()
+    run.store([10], tmp_path / "run")
+    run.trainer.close()
+    again = make(saved=saved, again=True)
+    assert len(again.replay.replay) == 50
+    again.play(10, 1)
+    assert again.trainer.state()[1]["learned_from"] == 55
 
 
 def test_a_state_that_does_not_fit_leaves_the_replay_alone(make: Learn, tmp_path: Path) -> None:
