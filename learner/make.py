@@ -168,9 +168,12 @@ def make_replay_learner(
     source = OtherReplay(replay, size, max_size, spaces, hyper, run.seed, metrics)
     kind = f"off-policy on {run.env} from a replay"
     saved = checkpoint.load(path / "checkpoints", kind=kind) if resume else None
-    algorithm, updates = _off_policy(run, spaces, hyper, _of_trainer(saved), processes)
+    learned = _of_trainer(saved)
+    algorithm, updates = _off_policy(run, spaces, hyper, learned, processes)
     metadata = policy_metadata(run, spaces)
-    trainer = OffPolicyTrainer(algorithm, source, spaces, metadata, metrics, updates)
+    trainer = OffPolicyTrainer(
+        algorithm, source, spaces, metadata, metrics, updates, knows=_knows(learned)
+    )
     _begin(trainer, configuration, saved)
     feed = ReplayFeed(source, trainer, hyper.utd_ratio)
     return Learner(
@@ -227,7 +230,9 @@ def make_off_policy(
         path / "replay", run.env, spaces, hyper, run.seed, ledger, metrics, state, prior,
         again=again,
     )  # fmt: skip
-    trainer = OffPolicyTrainer(algorithm, replay, spaces, metadata, metrics, updates)
+    trainer = OffPolicyTrainer(
+        algorithm, replay, spaces, metadata, metrics, updates, knows=_knows(saved)
+    )
     return trainer, replay
 
 
@@ -276,3 +281,8 @@ def _connect(
 
 def _of_trainer(saved: Saved | None) -> Saved | None:
     return None if saved is None else (saved[0], saved[1]["algorithm"])
+
+
+def _knows(saved: Saved | None) -> bool:
+    """Whether off-policy a run had begun with what another one has learned."""
+    return saved is not None and saved[1].get("knows", False)

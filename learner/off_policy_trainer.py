@@ -112,7 +112,8 @@ class OffPolicyTrainer:
     """Algorithm 2 of the paper and its extensions: a `Trainer`.
 
     ``algorithm`` is in the state to go on from, after ``updates`` updates; batches come from
-    ``source``; every graph has ``metadata``.
+    ``source``; every graph has ``metadata``. What it ``knows`` before the first update is from
+    another run.
     """
 
     overlaps_learning = False
@@ -125,12 +126,14 @@ class OffPolicyTrainer:
         metadata: Mapping[str, str],
         metrics: LearnerMetrics,
         updates: int = 0,
+        *,
+        knows: bool = False,
     ) -> None:
         self._algorithm, self._source = algorithm, source
         self._metadata, self._metrics = metadata, metrics
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._update = update_of(algorithm)
-        self._updates, self._knows = updates, False
+        self._updates, self._knows = updates, knows
         self.columns = (*source.columns, *SHOWN)
 
     @property
@@ -178,7 +181,8 @@ class OffPolicyTrainer:
             A2SError: The networks are no longer finite.
         """
         self._require_finite()
-        return self._algorithm.state(), {"updates": self._updates, **self._source.state()}
+        numbers = {"updates": self._updates, "knows": self._knows}
+        return self._algorithm.state(), numbers | self._source.state()
 
     def close(self) -> None:
         """Close the source."""

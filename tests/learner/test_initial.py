@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from learners import learner_of
 from segments import segment
 
 from a2s.actors.suggester import Suggester
@@ -19,6 +20,7 @@ from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.trainer import Saved, Trainer
 from a2s.protocol.errors import UsageError
 from a2s.protocol.fields import Spaces
+from a2s.protocol.in_process import Exchange, InProcessBus
 
 SMALL = {"critic_sizes": "16,16", "policy_sizes": "16,16", "precision": "f32"}
 OBS = np.array([[0.3, -0.7]], np.float32)
@@ -144,3 +146,16 @@ def test_off_policy_actors_play_what_was_learned_from_the_first_step(tmp_path: P
     assert Suggester(ours.graph(1, 0.0)).metadata["mode"] != warm_up
     first = next(iter(trainer.state()[0]))
     assert torch.equal(ours.state()[0][first], trainer.state()[0][first])
+
+
+def test_and_so_they_do_when_it_goes_on_before_its_first_update(tmp_path: Path) -> None:
+    path = _saved(tmp_path / "other", (_off_policy(seed=1).state()[0], {}), "off-policy")
+    options = {"env": "Test-v0", "variant": "off-policy", "init_from": str(path)}
+    run, modes = tmp_path / "run", []
+    run.mkdir()
+    for resume in (False, True):
+        bus = InProcessBus(Exchange())
+        learner_of(options, SMALL, bus, run, resume=resume).run(lambda: True)
+        policy = (run / "latest" / "policy.onnx").read_bytes()
+        modes.append(Suggester(policy).metadata["mode"])
+    assert modes[0] == modes[1]
