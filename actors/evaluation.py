@@ -232,7 +232,7 @@ class Episodes:
 
     def _begin(self, index: int) -> None:
         if not self._waiting:
-            del self._obs[index]
+            self._obs.pop(index, None)
             return
         self._episode[index] = self._waiting.pop(0)
         obs = self._environments[index].reset(self._seeds[self._episode[index]])

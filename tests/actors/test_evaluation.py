@@ -66,3 +66,12 @@ def test_an_episode_that_begins_with_nothing_is_begun_again(make_graph: MakeGrap
     found = _play(make_graph, f"{Path(__file__)}:BadBeginning", **CONTROL)
     assert (found.lengths, found.unusable_steps) == ([100, 100], 0)
     assert np.isfinite(found.returns).all()
+
+
+def test_environments_for_which_there_is_no_episode_do_not_play(make_graph: MakeGraph) -> None:
+    """An evaluator keeps those that it has made, and a learner that goes on may want fewer."""
+    suggester = Suggester(make_graph(**CONTROL), "mean")
+    config = EnvConfig(env_id="a2s_case_envs:Control")
+    found = play(suggester, [Environment(config, index=index) for index in range(3)], 2, 0)
+    assert found is not None
+    assert len(found.returns) == 2
