@@ -85,6 +85,7 @@ class Actor:
             RefusedError: The learner refuses this actor.
             UsageError: The environment cannot be made here.
             FaultyEnvironmentError: The environment is broken.
+            A2SError: The learner wants it made otherwise than it is here.
         """
         self._bus.declare_presence(self._keys.live_actor(self._name))
         heartbeat = threading.Thread(target=self._beat, name="heartbeat")
@@ -124,18 +125,18 @@ class Actor:
                     )
                     environments.append(stack.enter_context(closing(environment)))
                 require_alike(environments)
-                self._play_in(environments, told.env_id)
+                self._play_in(environments, told)
             except A2SError as error:
                 if self._rollout is None:  # else its replacement says why
                     self._troubles.latest = str(error)
                 self._on_failure(error)
                 raise
 
-    def _play_in(self, environments: list[Environment], env_id: str) -> None:
+    def _play_in(self, environments: list[Environment], told: Welcome) -> None:
         hello = Hello(
             actor=self._name,
             num_envs=len(environments),
-            env_id=env_id,
+            env_id=told.env_id,
             spaces=environments[0].spaces,
             cause=self._task.cause,
             slot=self._task.worker,
@@ -143,6 +144,7 @@ class Actor:
         welcome = self._join(hello)
         suggester: Suggester | None = None
         while welcome is not None:
+            _require_made_for(told, welcome)
             if self._rollout is None:
                 self._rollout = Rollout(
                     self._name, environments, welcome.seed, self._metrics, self._troubles
@@ -301,3 +303,14 @@ class Actor:
             **{f"{doing}_s": seconds for doing, seconds in self._metrics.spent().items()},
         )
         self._bus.publish(self._keys.actor_status(self._name), encode(status))
+
+
+def _require_made_for(told: Welcome, now: Welcome) -> None:
+    """Raise A2SError if environments that were made as told are not what is wanted now."""
+    offsets = [each.spaces.obs_offset for each in (told, now)]
+    before, after = (b"" if each is None else each.tobytes() for each in offsets)
+    if (told.env, before) != (now.env, after):
+        raise A2SError(
+            f"environment {now.env_id}: found another way to make it or another offset than "
+            "before, expected the same; its process begins anew with what the learner wants now"
+        )

@@ -130,6 +130,8 @@ class Actor:
     def _join(self) -> None:  # [5]
         spaces = {"obs_size": OBS_SIZE, "action_low": array(LOW), "action_high": array(HIGH)}
         self._welcome = self._hello(num_envs=1, env_id=self._env_id, spaces=spaces)
+        if self._welcome and _how_made(self._welcome) != self._how_made:
+            sys.exit("the learner now wants the environment made otherwise: start this actor again")
         self._rng = np.random.default_rng(self._welcome["seed"] if self._welcome else 0)
         with self._heard:
             self._newest = self._claim = (0, 0)
@@ -150,7 +152,7 @@ class Actor:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def _take_part(self, told: Message) -> None:
-        self._env_id = told["env_id"]
+        self._env_id, self._how_made = told["env_id"], _how_made(told)
         self._robot = Robot(told["seed"])  # [4]
         self._robot.max_steps = honoured(told) or self._robot.max_steps
         offset = told["spaces"].get("obs_offset")
@@ -294,6 +296,10 @@ def honoured(told: Message) -> int:
     if env["env_id"].rpartition(":")[2] != NAME or refused:
         sys.exit(f"this actor plays {NAME} as it is, not {env['env_id']} with {refused}")
     return int(env.get("max_episode_steps", 0))
+
+
+def _how_made(welcome: Message) -> object:
+    return welcome.get("env"), welcome["spaces"].get("obs_offset")
 
 
 def _identity(notice: Message) -> tuple[int, int]:

@@ -2,9 +2,10 @@
 
 import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from types import SimpleNamespace
+from dataclasses import replace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from a2s.actors.actor import Actor
 from a2s.actors.metrics import ActorMetrics
 from a2s.actors.task import Task
 from a2s.protocol.codec import decode, encode
+from a2s.protocol.env_config import EnvConfig
+from a2s.protocol.errors import A2SError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
@@ -127,6 +130,57 @@ def test_the_first_accepted_segment_is_reported_at_once(
     exchange, reports = Exchange(), list[dict[str, Any]]()
     with _acting(exchange, _Learner(exchange, make_graph()), threading.Event(), reports.append):
         wait_for(lambda: {"accepted": 1.0} in reports, "a report of work")
+
+
+class _Another(_Learner):
+    """Another run takes its place at the first segment, with its environment made otherwise."""
+
+    generation = 1
+    made: Mapping[str, Any] = MappingProxyType({})
+
+    def __init__(self, exchange: Exchange, graph: bytes, then: Mapping[str, Any]) -> None:
+        self._then, self.stopped = then, threading.Event()
+        super().__init__(exchange, graph)
+
+    def _notice(self, epoch: int) -> Notice:
+        return replace(super()._notice(epoch), generation=self.generation)
+
+    def _welcome(self, payload: bytes) -> bytes:
+        welcome = decode(super()._welcome(payload), Welcome)
+        offset = self.made.get("offset")
+        return encode(
+            replace(
+                welcome,
+                generation=self.generation,
+                env=EnvConfig(env_id=welcome.env_id, **self.made.get("env", {})),
+                spaces=replace(SPACES, obs_offset=offset),
+            )
+        )
+
+    def _take(self, payload: bytes) -> bytes:
+        if decode(payload, Segment).generation == 2:  # it plays on
+            self.stopped.set()
+        self.generation, self.made = 2, self._then
+        self._newest = self._notice(0)
+        self._bus.publish(KEYS.notice, encode(self._newest))
+        return encode(
+            Ack(verdict="stale", reason="", generation=2, epoch=0, weights_version=1, wait_s=0.0)
+        )
+
+
+@pytest.mark.parametrize(
+    "then", [{"env": {"action_repeat": 2}}, {"offset": np.ones(2, np.float32)}], ids=str
+)
+def test_who_is_to_make_another_environment_begins_anew(
+    make_graph: Callable[..., bytes], then: Mapping[str, Any]
+) -> None:
+    """Nobody would see that it plays the one of the run before."""
+    exchange = Exchange()
+    stopped = _Another(exchange, make_graph(), then).stopped
+    parent: Any = SimpleNamespace(stopped=stopped, activity=Activity(), report=lambda _: None)
+    actor = Actor(TASK, InProcessBus(exchange), ActorMetrics(), parent, lambda _: None)
+    with pytest.raises(A2SError, match="Count-v0: found another way to make it or another offset"):
+        actor.run()
 
 
 @contextmanager
