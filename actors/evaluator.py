@@ -64,7 +64,7 @@ class Evaluator:
         self._num_envs, self._bus, self._keys = task.num_envs or _ENVS, bus, Keys(task.run)
         self._metrics, self._parent, self._on_failure = metrics, parent, on_failure
         self._patience = Patience(bus, self._keys, speaks=task.worker == 0, known_as=task.known_as)
-        self._config: EnvConfig | None = None
+        self._made_for: tuple[EnvConfig, str | None] | None = None  # with the offset of weights
         self._allowed = task.allow_env
         self._environments: list[Environment] = []
         self._ended = threading.Event()
@@ -155,9 +155,10 @@ class Evaluator:
         config = trained_on("the learner's policy", metadata)
         if config is None:
             raise UsageError("the learner's policy: its metadata name no environment")
-        if config != self._config:
+        made_for = config, metadata.get("obs_offset")
+        if made_for != self._made_for:
             require_allowed(config, self._allowed)
-            self.env_id, self._config = config.env_id, config
+            self.env_id, self._made_for = config.env_id, made_for
             self._parent.report({"env_id": config.env_id, "timeout_s": config.timeout_s})
             count = min(self._num_envs, episodes)
             self._environments = make_environments(config, metadata, count, self._parent.activity)
