@@ -79,12 +79,12 @@ TABLES = {
     "until-cheetah": Table(
         ("until: a2s", "until: a2s a2c", "until: sb3 PPO"),
         ("until: a2s a2c", "until: sb3 PPO"),
-        ("HalfCheetah-v5:3000",), "s", 90.0,
+        ("HalfCheetah-v5:3000",), "s", 60.0,
     ),
     "until-hopper": Table(
         ("until: a2s", "until: sb3 PPO", "until: sb3 SAC", "until: sbx SAC"),
         ("until: sb3 PPO", "until: sb3 SAC", "until: sbx SAC"),
-        ("Hopper-v5:2000",), "s", 90.0,
+        ("Hopper-v5:2000",), "s", 60.0,
     ),
     "selecting": Table(
         ("selecting: a2s", "selecting: torch"), ("selecting: torch",),
