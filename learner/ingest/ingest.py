@@ -264,9 +264,11 @@ class Ingest:
             )
 
     def close(self) -> None:
-        """Close ledger and journal; nothing may arrive any more."""
-        self._ledger.close()
-        self._journal.close()
+        """Close ledger and journal: what still arrives is not answered."""
+        with self._changed:
+            self._failure = self._failure or RunDirectoryError("the learner has ended")
+            self._ledger.close()
+            self._journal.close()
 
     def _welcome(self, hello: Hello, slot: int) -> None:
         self._has_begun |= len(self._members.present) >= self._admission.run.n

@@ -144,6 +144,21 @@ def test_only_what_is_accepted_is_stored_and_what_cannot_be_stored_ends_the_run(
         run.ingest.next_batch(lambda _: True)
 
 
+def test_what_comes_after_the_end_is_written_into_no_file_that_was_opened_since(
+    run: IngestRun, tmp_path: Path
+) -> None:
+    """An operating system gives the numbers of closed files to the next ones."""
+    run.join("a")
+    run.ingest.close()
+    others = [(tmp_path / name).open("w") for name in ("one", "two")]
+    with pytest.raises(RunDirectoryError, match="the learner has ended"):
+        run.send(_segment())
+    for other in others:
+        other.close()
+    assert [path.stat().st_size for path in (tmp_path / "one", tmp_path / "two")] == [0, 0]
+    assert not run.kept
+
+
 def test_what_cannot_be_written_down_is_not_stored_again(run: IngestRun, no_room: NoRoom) -> None:
     """However often it is sent; and nothing else is, once one has failed."""
     run.join("a")
