@@ -66,12 +66,11 @@ def _command(pid: int) -> str:
 
 def _spy(pid: int, name: str) -> "subprocess.Popen[bytes]":
     spy = Path(sys.executable).with_name("py-spy")
-    return subprocess.Popen(
-        (
-            str(spy), "record", "--pid", str(pid), "--duration", str(SECONDS), "--rate", str(RATE),
-            "--threads", "--output", str(HERE / f"{name}.svg"),
-        )
+    words = (
+        "py-spy", "record", "--pid", str(pid), "--duration", str(SECONDS), "--rate", str(RATE),
+        "--threads", "--output", f"{name}.svg",
     )  # fmt: skip
+    return subprocess.Popen(words, executable=spy, cwd=HERE)  # the picture names the command
 
 
 def main() -> None:
