@@ -219,11 +219,15 @@ def expected(
 
 
 @compiled  # type: ignore[untyped-decorator]
-def share_that_counts(below_best: Array, inverse_temperature: float) -> Any:
-    """See `suggestions.share_that_counts`; scores ``[N, K]`` less the best of their state."""
-    weights = exp_of(below_best.reshape(below_best.size) * _F(inverse_temperature))
-    rows, count = below_best.shape
-    total = 0.0
+def share_that_counts(score: Array, inverse_temperature: float) -> Any:
+    """See `suggestions.share_that_counts`."""
+    rows, count = score.shape
+    tilt, factor = np.empty(score.shape, _F), _F(inverse_temperature)
+    for n in range(rows):
+        row, most = score[n], _most(score[n])
+        for j in range(count):
+            tilt[n, j] = factor * (row[j] - most)
+    weights, total = exp_of(tilt.reshape(tilt.size)), 0.0
     for n in range(rows):
         whole, squares = _ZERO, _ZERO
         for j in range(n * count, (n + 1) * count):

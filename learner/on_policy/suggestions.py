@@ -8,7 +8,6 @@ from torch import Tensor
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.on_policy import categorical, fit_kernels
 from a2s.learner.on_policy.acting import as_q_sees, suggest
-from a2s.protocol.fields import Array
 
 _BISECTIONS = 24
 _MOST_DEVIATIONS = 100.0  # of scores, by the temperature: the best of the K alone counts there
@@ -69,7 +68,7 @@ def share_that_counts(score: Tensor, inverse_temperature: float) -> float:
 
     Source: Kish 1965, ``1 / sum w^2``.
     """
-    return float(fit_kernels.share_that_counts(_below_best(score), inverse_temperature))
+    return float(fit_kernels.share_that_counts(score.contiguous().numpy(), inverse_temperature))
 
 
 def inverse_temperature_at(
@@ -82,18 +81,13 @@ def inverse_temperature_at(
     spread = float((score - score.mean(1, keepdim=True)).square().mean().sqrt())
     if spread == 0.0:
         return 0.0
-    below = _below_best(score)
-    if at_most is not None and fit_kernels.share_that_counts(below, at_most) >= least_share:
+    if at_most is not None and share_that_counts(score, at_most) >= least_share:
         return at_most
     low, high = 0.0, _MOST_DEVIATIONS / spread
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if fit_kernels.share_that_counts(below, middle) >= least_share:
+        if share_that_counts(score, middle) >= least_share:
             low = middle
         else:
             high = middle
     return low
-
-
-def _below_best(score: Tensor) -> Array:
-    return (score - score.amax(1, keepdim=True)).contiguous().numpy()
