@@ -68,7 +68,8 @@ class Outbox:
         self.answered = 0
         self._draining = self._closing = False
         self._held_back = False  # the learner is behind
-        self._pausing = self._one_by_one = False
+        self._one_by_one = False
+        self._hold_until_s = 0.0
         self._changed = threading.Condition()
         self._threads = [
             threading.Thread(target=run, name=f"outbox {run.__name__}")
@@ -142,7 +143,8 @@ class Outbox:
     def _ask_all(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._is_over() or self._may_ask())
+                while not (self._is_over() or self._may_ask()):
+                    self._changed.wait(self._hold_s() or None)
                 if self._is_over():
                     return
                 item, begun = self._waiting[len(self._asked)], self._times_begun_again
@@ -157,7 +159,11 @@ class Outbox:
 
     def _may_ask(self) -> bool:
         at_most = 1 if self._held_back or self._one_by_one else self.window
-        return not self._pausing and len(self._asked) < min(at_most, len(self._waiting))
+        return not self._hold_s() and len(self._asked) < min(at_most, len(self._waiting))
+
+    def _hold_s(self) -> float:
+        """Seconds until a segment may be sent; the last time, nothing is waited for."""
+        return 0.0 if self._draining else max(0.0, self._hold_until_s - perf_counter())
 
     def _hear_all(self) -> None:
         back_off_s, longest_s = _BACK_OFF_S
@@ -169,31 +175,30 @@ class Outbox:
                 asked = self._asked[0]
             ack = _decoded(asked.answer())
             if ack is None or ack.verdict == "unknown":
-                self._begin_again()
+                self._begin_again(back_off_s * self._random.uniform(0.5, 1.0))
                 if ack is not None:
                     self._on_unknown()
                 if self._draining:
                     self._end()
                     return
                 self._metrics.retries.inc()
-                self._pause(back_off_s * self._random.uniform(0.5, 1.0))
                 back_off_s = min(back_off_s * 2, longest_s)
             else:
                 back_off_s = _BACK_OFF_S[0]
                 self._forget(asked, ack)
                 self._on_ack(ack)
-                if ack.wait_s > 0:
-                    self._pause(ack.wait_s)
 
-    def _begin_again(self) -> None:
+    def _begin_again(self, after_s: float) -> None:
         """Nothing is under way any more; first of all comes the oldest."""
         with self._changed:
             self._asked.clear()
             self._times_begun_again += 1
-            self._pausing = self._one_by_one = True
+            self._one_by_one = True
+            self._hold_until_s = perf_counter() + after_s
+            self._changed.notify_all()
 
     def _forget(self, asked: _Asked, ack: Ack) -> None:
-        """The oldest is answered."""
+        """The oldest is answered; how long to wait, only the last answer knows."""
         self._metrics.send_seconds.observe(perf_counter() - asked.begin_s)
         self._metrics.acks.labels(ack.verdict).inc()
         with self._changed:
@@ -201,14 +206,8 @@ class Outbox:
             self._count(self._waiting.popleft(), -1)
             self.answered += 1
             self._one_by_one = False
-            self._pausing = self._held_back = ack.wait_s > 0
-            self._changed.notify_all()
-
-    def _pause(self, seconds: float) -> None:
-        """Ask nothing for a while; the last time, do not wait."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._draining, timeout=seconds)
-            self._pausing = False
+            self._held_back = ack.wait_s > 0
+            self._hold_until_s = perf_counter() + ack.wait_s
             self._changed.notify_all()
 
 

@@ -1,8 +1,9 @@
 """The outbox: in order, until answered, never more than fits, several at a time over a network."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
+from types import MappingProxyType
 
 import numpy as np
 
@@ -102,6 +103,15 @@ def test_a_learner_that_is_behind_is_sent_one_segment_at_a_time(wait_for: WaitFo
         assert not outbox.put(_segment(2), 0.01)
 
 
+def test_of_the_answers_to_all_under_way_the_last_says_how_long_to_wait(wait_for: WaitFor) -> None:
+    with ExitStack() as stack:
+        far = _Far(stack, 4, set(), hold_s=dict.fromkeys(range(3), 60.0))
+        assert all(far.outbox.put(_segment(seq), 1.0) for seq in range(5))
+        wait_for(lambda: total(far.metrics.messages_sent) == 4, "a full window")
+        far.gate.set()
+        wait_for(lambda: far.outbox.answered == 5, "5 answers")
+
+
 def test_a_outbox_is_narrowed_but_never_beyond_what_it_was_made_for() -> None:
     with _outbox(Exchange(), 10, ActorMetrics()) as (outbox, _):
         outbox.narrow(4)
@@ -148,14 +158,19 @@ class _Far:
     """An outbox, and a learner behind a network that answers when the gate is open.
 
     Segments whose number is in ``lost`` are heard of once too often: the first time, not at all. As
-    a learner does, it takes them in order.
+    a learner does, it takes them in order; some answers say how long to wait, ``hold_s``.
     """
 
     def __init__(
-        self, stack: ExitStack, window: int, lost: set[int], capacity_steps: int = 1000
+        self,
+        stack: ExitStack,
+        window: int,
+        lost: set[int],
+        capacity_steps: int = 1000,
+        hold_s: Mapping[int, float] = MappingProxyType({}),
     ) -> None:
         self.gate, self.heard, self.taken = threading.Event(), list[int](), list[int]()
-        self.most_unanswered, self._lost = 0, lost
+        self.most_unanswered, self._lost, self._hold_s = 0, lost, hold_s
         self.metrics = ActorMetrics()
         endpoint = free_endpoint()
         learner = stack.enter_context(closing(ZenohBus.listen(endpoint)))
@@ -180,7 +195,7 @@ class _Far:
         if seq < len(self.taken):
             return _ack("duplicate")
         self.taken.append(seq)
-        return _ack()
+        return _ack(wait_s=self._hold_s.get(seq, 0.0))
 
 
 def test_as_many_as_the_window_are_under_way(wait_for: WaitFor) -> None:
