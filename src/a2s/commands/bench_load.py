@@ -23,7 +23,7 @@ from a2s.protocol.keys import Keys
 from a2s.protocol.messages import Ack, Hello, Notice, Refusal, Segment, Weights, Welcome
 from a2s.protocol.zenoh_bus import ZenohBus
 
-_ASK_S, _AGAIN_S = 10.0, 0.2
+_ASK_S, _AGAIN_S, _LOOK_EVERY_S = 10.0, 0.2, 1.0
 _START_S = 120.0  # for a learner, and for all to join it
 _ENDLESS = str(10**12)
 
@@ -76,7 +76,7 @@ class Tally:
 
 
 class _Session:
-    """An actor of one environment: fetches weights, and sends segments of its quota."""
+    """An actor of one environment: fetches weights when it hears of them, sends its quota."""
 
     def __init__(self, index: int, bus: ZenohBus, keys: Keys, pace_s: float, tally: Tally) -> None:
         self._name, self._bus, self._keys = f"bench-{index}", bus, keys
@@ -91,12 +91,14 @@ class _Session:
     def run(self, stop: threading.Event) -> None:
         """Play until stopped."""
         welcome = self._join(stop)
-        played: Notice | None = None
+        fetched: Notice | None = None
+        sent: Notice | None = None
+        free_s = 0.0
         while not stop.is_set() and welcome is not None:
-            notice = self._newest(played if welcome.clock == "lockstep" else None, stop)
+            notice = self._newest(sent if welcome.clock == "lockstep" else None, stop)
             if notice is None:
                 continue
-            if played is None or notice.identity != played.identity:
+            if fetched is None or notice.identity != fetched.identity:
                 self._fetch(notice)
                 segment = make_segment(
                     self._rng, steps=notice.quota_steps, spaces=welcome.spaces, actor=self._name,
@@ -104,12 +106,15 @@ class _Session:
                     weights_version=notice.version, terminated=True, truncated=False,
                     episode_return=float(self._rng.standard_normal()),
                 )  # fmt: skip
-            played, begin_s = notice, perf_counter()
+            fetched = notice
+            if not self._is_free(free_s, notice):
+                continue
+            sent, begin_s = notice, perf_counter()
             ack = self._send(segment)
             if ack is not None and ack.verdict == "unknown":
                 welcome = self._join(stop)
             rest_s = 0.0 if ack is None else ack.wait_s
-            stop.wait(max(rest_s, self._pace_s - (perf_counter() - begin_s)))
+            free_s = max(perf_counter() + rest_s, begin_s + self._pace_s)
 
     def _hear(self, notice: Notice) -> None:
         self._tally.heard(notice)
@@ -118,11 +123,19 @@ class _Session:
                 self._notice = notice
                 self._changed.notify_all()
 
-    def _newest(self, played: Notice | None, stop: threading.Event) -> Notice | None:
-        """Give the newest notice, other than the one that was played."""
+    def _is_free(self, free_s: float, notice: Notice) -> bool:
+        """Whether a segment may be sent; if not, wait until then, for a second or for news."""
+        left_s = free_s - perf_counter()
+        with self._changed:
+            if left_s > 0 and self._notice is notice:
+                self._changed.wait(min(left_s, _LOOK_EVERY_S))
+        return left_s <= 0
+
+    def _newest(self, sent: Notice | None, stop: threading.Event) -> Notice | None:
+        """Give the newest notice, other than the one for which all was sent."""
         with self._changed:
             if self._notice is not None and (
-                played is None or self._notice.identity != played.identity
+                sent is None or self._notice.identity != sent.identity
             ):
                 return self._notice
             if self._notice is not None and self._changed.wait(1.0):
