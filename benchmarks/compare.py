@@ -1,8 +1,9 @@
-"""Compare two labels of a suite: python benchmarks/compare.py SUITE LABEL OTHER.
+"""Compare labels of a suite: python benchmarks/compare.py SUITE LABEL OTHER [OTHER...].
 
-For each environment the area under the evaluations (mean action, 10 episodes, the same for all) and
-their last five; what was seen at most after half the run, and at least after that; and how long the
-run took. Interquartile means over the seeds, and 95 % intervals of the difference.
+With several others, the areas alone, a row for each. With one, for each environment the area under
+the evaluations (mean action, 10 episodes, the same for all) and their last five; what was seen at
+most after half the run, and at least after that; and how long the run took. Interquartile
+means over the seeds, and 95 % intervals of the difference.
 """
 
 import argparse
@@ -86,16 +87,45 @@ def page(suite: str, label: str, other: str, seeds: Sequence[int]) -> str:
     return "\n".join([*lines, "", about, "", *runs, "", "Medians over the seeds:", "", *times, ""])
 
 
+def areas(suite: str, label: str, others: Sequence[str], seeds: Sequence[int]) -> str:
+    """The areas of all labels in Markdown, and by how much the first one is ahead of each."""
+    envs = SUITES[suite].envs
+    lines = [
+        f"| {suite}, seeds {min(seeds)} to {max(seeds)} | {' | '.join(envs)} |",
+        "|---" * (1 + len(envs)) + "|",
+    ]
+    total = SUITES[suite].steps
+
+    def all_seeds(env: str, each: str) -> list[float]:
+        return [summary(read(suite, env, each, seed), total)[0] for seed in seeds]
+
+    firsts = {env: all_seeds(env, label) for env in envs}
+    means = (f"{np.mean(firsts[env]):.0f}" for env in envs)
+    lines.append(f"| {label} | {' | '.join(means)} |")
+    for other in others:
+        cells = []
+        for env in envs:
+            theirs = all_seeds(env, other)
+            c = compare(firsts[env], theirs)
+            cells.append(f"{np.mean(theirs):.0f}; {c.difference:+.0f} [{c.low:.0f}, {c.high:.0f}]")
+        lines.append(f"| {other} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
 def main() -> None:
     """Print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("suite", choices=SUITES)
     parser.add_argument("label")
-    parser.add_argument("other")
+    parser.add_argument("others", nargs="+")
     parser.add_argument("--seeds", nargs="*", type=int, help="only these seeds")
     arguments = parser.parse_args()
     seeds = arguments.seeds or SUITES[arguments.suite].seeds
-    sys.stdout.write(page(arguments.suite, arguments.label, arguments.other, seeds))
+    told = (arguments.suite, arguments.label)
+    if len(arguments.others) == 1:
+        sys.stdout.write(page(*told, arguments.others[0], seeds))
+    else:
+        sys.stdout.write(areas(*told, arguments.others, seeds))
 
 
 if __name__ == "__main__":
