@@ -10,7 +10,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from a2s.learner.run.growing_table import GrowingTable, header, keep_rows, open_table, reading
+from a2s.learner.run.growing_table import (
+    GrowingTable,
+    header,
+    keep_rows,
+    open_table,
+    reading,
+    whole_lines,
+)
 from a2s.learner.run.writing import open_lines, write_atomically, writing
 from a2s.protocol.errors import RunDirectoryError, UsageError
 from a2s.protocol.generations import MAX_STARTS
@@ -240,7 +247,7 @@ def evaluations(path: Path, mode: str) -> list[EvaluationRow]:
         return []
     found = []
     with reading(table), table.open(newline="") as file:
-        rows = csv.DictReader(file)
+        rows = csv.DictReader(whole_lines(file))
         try:
             for row in rows:
                 each = EvaluationRow(

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -73,6 +73,11 @@ def keep_rows(path: Path, count: int) -> None:
     """Forget the rows of a closed table past this many; what is kept stays to the byte."""
     lines = path.read_bytes().splitlines(keepends=True)
     write_atomically(path, b"".join(lines[: count + 1]))
+
+
+def whole_lines(file: Iterable[str]) -> Iterator[str]:
+    """Read a table without a line that a kill, or want of room, has torn: it is of no row."""
+    return (line for line in file if line.endswith("\n"))
 
 
 def header(path: Path) -> list[str]:

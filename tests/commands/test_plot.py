@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a2s.commands.plot import axis_of, from_the_first, identity, on_a_grid, plot, smooth
+from a2s.commands.plot import (
+    axis_of,
+    from_the_first,
+    identity,
+    on_a_grid,
+    plot,
+    read_curve,
+    smooth,
+)
 from a2s.protocol.errors import UsageError
 
 
@@ -178,6 +186,15 @@ def test_a_seed_that_begins_where_another_ends_is_drawn_too() -> None:
     steps, returns = on_a_grid([short, late])
     assert steps[-1] == 497.5
     assert np.allclose(returns, [[1.0], [5.0]])
+
+
+def test_a_torn_row_is_no_episode(tmp_path: Path) -> None:
+    """What a full disk has left of a return is another return."""
+    run = _run(tmp_path / "a", [(10, -1.0)])
+    with (run / "episodes.csv").open("a") as file:
+        file.write("0,20,0,1,-12")
+    steps, returns = read_curve(run / "episodes.csv")
+    assert (steps.tolist(), returns.tolist()) == ([10.0], [-1.0])
 
 
 def test_a_picture_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from a2s.commands.statistics import band, iqm
 from a2s.learner.run import config as configuration
 from a2s.learner.run.directory import CONFIG, EPISODE_COLUMNS, evaluations
+from a2s.learner.run.growing_table import whole_lines
 from a2s.protocol.errors import RunDirectoryError, UsageError, nearest
 
 mpl.use("agg")
@@ -47,7 +48,8 @@ def read_curve(
     opened = gzip.open if episodes.suffix == ".gz" else open
     try:
         with opened(episodes, "rt", newline="") as file:
-            rows = [(float(r[axis]), float(r[what])) for r in csv.DictReader(file) if r[what]]
+            table = csv.DictReader(whole_lines(file))
+            rows = [(float(r[axis]), float(r[what])) for r in table if r[what]]
     except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise UsageError(f"{episodes}: cannot be read as the episodes of a run: {error}") from None
     if not rows:

@@ -170,6 +170,22 @@ def test_a_resumed_run_knows_the_best_of_its_earlier_starts(
     assert evaluations(tmp_path, "mean") == rows
 
 
+@pytest.mark.parametrize("torn", ["1.5,200,2,mean,2,7,", "1.5,200,2,mean,2,7,1,6,8"])
+def test_a_torn_row_is_forgotten(tmp_path: Path, make_run: MakeRun, torn: str) -> None:
+    """As a full disk leaves it; what is evaluated next has its own line."""
+    run = make_run()
+    run.reach(100)
+    run.play(7.0, 9.0)
+    run.directory.close()
+    with (tmp_path / "evaluations.csv").open("a") as file:
+        file.write(torn)
+    run = make_run(steps_at_start=120)
+    assert run.status.best_score == Score(100, 8.0, 1.0)
+    run.reach(300)
+    run.play(6.0, 6.0)
+    assert [row.env_steps for row in evaluations(tmp_path, "mean")] == [100, 300]
+
+
 def test_a_damaged_table_is_named(tmp_path: Path, make_run: MakeRun) -> None:
     (tmp_path / "evaluations.csv").write_text("env_steps,mode\n1,mean\n")
     with pytest.raises(RunDirectoryError, match=r"evaluations.csv line 2: expected wall_s,"):
