@@ -1,5 +1,6 @@
 """An exported policy works without a2s, and returns what a2s evaluates."""
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -26,7 +27,8 @@ class Own(gymnasium.Env):
         {"x": gymnasium.spaces.Box(-9, 9, (1,)), "y": gymnasium.spaces.Box(-9, 9, (1,))})
     action_space = gymnasium.spaces.Box(-1, 1, (2, 1))
 
-    def __init__(self, start=0.0):
+    def __init__(self, start=0.0, port=0):
+        assert port == 0
         self.start = start
 
     def reset(self, seed=None, options=None):
@@ -72,20 +74,23 @@ def test_the_python_program_plays_an_episode(tmp_path: Path, make_graph: MakeGra
 
 
 def test_the_environment_is_made_as_the_run_made_it(tmp_path: Path, make_graph: MakeGraph) -> None:
-    """A class of a file, its argument, a wrapper, a limit, repeated actions, stacked rows.
+    """A class of a file, its arguments, wrappers, a limit, repeated actions, stacked rows.
 
-    It starts at 10 and goes on for six steps: (11 + ... + 16) doubled.
+    It starts at 10 and goes on for six steps: (11 + ... + 16) doubled twice.
     """
     (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "more.py").write_text("from own import Twice")
     config = EnvConfig(
-        env_id=f"{tmp_path / 'own.py'}:Own", kwargs='{"start": 10.0}', wrappers=("own:Twice",),
+        env_id=f"{tmp_path / 'own.py'}:Own", kwargs='{"start": 10.0, "port": "{worker}"}',
+        wrappers=("own:Twice", f"{tmp_path / 'more.py'}:Twice"),
         action_repeat=3, frame_stack=2, max_episode_steps=6,
     )  # fmt: skip
     told = {"env": config.env_id, "environment": config.to_json(), "obs_offset": "[5.0, 0, 5.0, 0]"}
     graph = make_graph(obs_size=4, low=(-1.0,) * 2, high=(1.0,) * 2, metadata=told)
     folder = _export(tmp_path, graph)
-    (tmp_path / "own.py").rename(folder / "own.py")  # it has its own copy
-    assert _rollout(folder) == "return 162.0"
+    for name in ("own.py", "more.py"):
+        (tmp_path / name).unlink()  # it has its own copy
+    assert _rollout(folder) == "return 324.0"
     assert "# Own\n" in (folder / "README.md").read_text()
     assert str(tmp_path) not in (folder / "README.md").read_text()
     assert "const offset = [5.0, 0, 5.0, 0];" in (folder / "act.mjs").read_text()
@@ -112,3 +117,33 @@ def test_the_card_says_what_is_known_of_the_run(tmp_path: Path, make_graph: Make
     assert "mean_reward" not in (tmp_path / "other" / "README.md").read_text()
     with pytest.raises(UsageError, match="out exists; name a new folder"):
         export_run(run, tmp_path / "out", "latest")
+
+
+def test_the_card_says_nothing_of_other_weights(tmp_path: Path, make_graph: MakeGraph) -> None:
+    """The evaluation of ``a2s train --weights best``, and a run that has gone on since."""
+    graph, run = make_graph(metadata={"env": "Hopper-v5"}), tmp_path / "run"
+    for weights in ("latest", "best"):
+        (run / weights).mkdir(parents=True)
+        (run / weights / "policy.onnx").write_bytes(graph)
+    summary: dict[str, Any] = {
+        "variant": "on-policy", "algo": "a2s", "preset": "modern", "seed": 3, "env_steps": 1000,
+        "wall_s": 7.0, "weights_sha256": hashlib.sha256(graph).hexdigest(),
+        "evaluation": {"mean": 1.0, "std": 0, "episodes": 9, "mode": "mean", "weights": "best"},
+    }  # fmt: skip
+    (run / "summary.json").write_text(json.dumps(summary))
+    cards = []
+    for name, weights in (("a", "best"), ("b", "latest"), ("c", "best")):
+        export_run(run, tmp_path / name, weights)
+        cards.append((tmp_path / name / "README.md").read_text())
+        if name == "b":
+            (run / "latest" / "policy.onnx").write_bytes(make_graph(metadata={"env": "Other-v5"}))
+    assert ["of 9 fresh episodes" in card for card in cards] == [True, False, False]
+    assert ["for 1,000 steps" in card for card in cards] == [True, True, False]
+
+
+def test_a_file_that_is_gone_is_named(tmp_path: Path, make_graph: MakeGraph) -> None:
+    """Nothing is written without it."""
+    (tmp_path / "policy.onnx").write_bytes(make_graph(metadata={"env": "/nowhere/own.py:Own"}))
+    with pytest.raises(UsageError, match=r"found no /nowhere/own.py, which its environment needs"):
+        export_run(tmp_path / "policy.onnx", tmp_path / "out", "latest")
+    assert not (tmp_path / "out").exists()

@@ -1,5 +1,6 @@
 """``a2s export``: a folder with the policy of a run that works without a2s."""
 
+import hashlib
 import json
 import shutil
 from collections.abc import Mapping
@@ -36,36 +37,57 @@ def export_run(run: Path, output: Path, weights: str) -> list[Path]:
     texts = {
         PYTHON: _python(config, metadata),
         JAVASCRIPT: _javascript(metadata),
-        CARD: _card(config, metadata, _summary(run)),
+        CARD: _card(config, metadata, _summary(run, weights)),
     }
-    own = _file_of(config)
+    own = _files_of(config)
+    for file in own:
+        if not file.is_file():
+            raise UsageError(f"{path}: found no {file}, which its environment needs; restore it")
     try:
         output.mkdir(parents=True)
         shutil.copyfile(path, output / POLICY)
         for name, text in texts.items():
             (output / name).write_text(text)
-        if own is not None:
-            shutil.copyfile(own, output / own.name)
+        for file in own:
+            shutil.copyfile(file, output / file.name)
     except FileExistsError:
         raise UsageError(f"--output: {output} exists; name a new folder") from None
     except OSError as error:
         raise UsageError(f"--output: {output}: {error.strerror}") from None
-    return [output / name for name in (POLICY, *texts, *([own.name] if own else []))]
+    return [output / name for name in (POLICY, *texts, *(file.name for file in own))]
 
 
-def _file_of(config: EnvConfig) -> Path | None:
-    """The user's file that the environment is a class of, if it is in one."""
-    place = config.env_id.rpartition(":")[0]
-    return Path(place) if place.endswith(".py") else None
+def _files_of(config: EnvConfig) -> list[Path]:
+    """The user's files that the environment and its wrappers are classes of, each once."""
+    places = (code.rpartition(":")[0] for code in config.code)
+    return [Path(place) for place in dict.fromkeys(places) if place.endswith(".py")]
 
 
-def _summary(run: Path) -> dict[str, Any]:
-    """The summary of a run that has ended; empty otherwise."""
+def _beside(wrapper: str) -> str:
+    """A wrapper with its file, if it is in one, named as it lies in the folder."""
+    place, py, rest = wrapper.partition(".py:")
+    return f"{Path(place).name}{py}{rest}" if py and "=" not in place else wrapper
+
+
+def _module_of(place: str) -> str:
+    """The name by which a module, or a file beside the program, is imported."""
+    return Path(place).stem if place.endswith(".py") else place
+
+
+def _summary(run: Path, weights: str) -> dict[str, Any]:
+    """The summary of a run that has ended, without an evaluation of other weights; else empty."""
     try:
         found = json.loads((run / "summary.json").read_text())
-        return found if isinstance(found, dict) and found.keys() >= _OF_RUN else {}
+        latest = hashlib.sha256((run / "latest" / POLICY).read_bytes()).hexdigest()
     except (OSError, ValueError):
         return {}
+    if not (isinstance(found, dict) and found.keys() >= _OF_RUN):
+        return {}
+    if found.get("weights_sha256", latest) != latest:
+        return {}  # the run has gone on since
+    evaluation = found.get("evaluation") or {}
+    is_of_it = evaluation.get("weights", weights) == weights
+    return {**found, "evaluation": evaluation if is_of_it else {}}
 
 
 def _python(config: EnvConfig, metadata: Mapping[str, str]) -> str:
@@ -125,8 +147,8 @@ def _making(config: EnvConfig) -> tuple[list[str], list[str]]:
         "import onnxruntime",
     ]
     place, _, name = config.env_id.rpartition(":")
-    place = Path(place).stem if place.endswith(".py") else place
-    given = [f"{key}={value!r}" for key, value in json.loads(config.kwargs).items()]
+    place = _module_of(place)
+    given = [f"{key}={value!r}" for key, value in config.constructor_arguments(0, 0).items()]
     limit = [f"max_episode_steps={config.max_episode_steps}"] if config.max_episode_steps else []
     lines = [f"env = gym.make({', '.join([repr(name), *given, *limit])})"]
     if place:
@@ -141,7 +163,7 @@ def _making(config: EnvConfig) -> tuple[list[str], list[str]]:
             lines.append(f"    env = gym.wrappers.TimeLimit(env, {config.max_episode_steps})")
     for setting in config.wrappers:
         module, wrapper, arguments = wrapper_of(setting)
-        imports.append(f"from {module} import {wrapper}")
+        imports.append(f"from {_module_of(module)} import {wrapper}")
         lines.append(f"env = {wrapper}(env, **{arguments!r})")
     return imports, lines
 
@@ -181,9 +203,10 @@ def _row(metadata: Mapping[str, str]) -> str:
 
 def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, Any]) -> str:
     """A model card as model hubs read it."""
-    found = summary.get("evaluation") or {}
+    found = summary.get("evaluation", {})
     found = found if found.keys() >= _OF_EVALUATION else {}
     module, _, name = config.env_id.rpartition(":")
+    made = replace(config, env_id=name, wrappers=tuple(map(_beside, config.wrappers)))
     needs = "gymnasium" if module else "'gymnasium[mujoco]'"
     score = f"{found['mean']:.2f} +/- {found['std']:.2f}" if found else ""
     low, high = metadata["action_low"], metadata["action_high"]
@@ -233,7 +256,7 @@ def _card(config: EnvConfig, metadata: Mapping[str, str], summary: Mapping[str, 
         "```",
         "",
         *([f"`rollout.py` also needs what `{Path(module).name}` needs.", ""] if module else []),
-        f"The environment as it was made: `{replace(config, env_id=name).to_json()}`",
+        f"The environment as it was made: `{made.to_json()}`",
         "",
     ]
     return "\n".join(lines)
