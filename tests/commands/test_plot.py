@@ -179,6 +179,14 @@ def test_runs_that_cannot_be_drawn_are_left_out_and_named(
     assert not (tmp_path / "none.png").exists()
 
 
+def test_a_picture_without_a_suffix_is_told_by_its_whole_name(
+    tmp_path: Path, a2s: Callable[..., tuple[int, str, str]]
+) -> None:
+    run = _run(tmp_path / "a", [(10, 1.0), (20, 2.0)])
+    assert a2s("plot", run, "-o", "curves") == (0, "curves.png\n", "")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_seed_that_begins_where_another_ends_is_drawn_too() -> None:
     """The grid reaches to the first episode of each; the shorter one stays where it ended."""
     short = np.array([10.0]), np.array([1.0])

@@ -177,8 +177,6 @@ def draw(panels: Panels, output: Path, axis: Axis = "steps") -> None:
         place.set_ylabel(f"{title.partition(': ')[2] or 'training return'} of an episode")
         place.grid(alpha=0.3)
         place.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), frameon=False)
-    if not output.suffix:
-        output = output.with_suffix(".png")
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(output, dpi=120)

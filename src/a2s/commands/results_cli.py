@@ -93,9 +93,10 @@ def plot(
     from a2s.commands.plot import axis_of
     from a2s.commands.plot import plot as draw
 
-    for reason in draw(runs, output, axis_of(by)):
+    picture = output if output.suffix else output.with_suffix(".png")
+    for reason in draw(runs, picture, axis_of(by)):
         typer.echo(f"a2s: left out: {reason}", err=True)
-    typer.echo(output)
+    typer.echo(picture)
 
 
 def compare(
