@@ -128,6 +128,23 @@ def test_a_run_is_called_by_what_differs_from_its_preset(tmp_path: Path) -> None
     assert identity(run) == ("Hopper-v5", "a2s modern, suggestions=4, recovery=off")
 
 
+def test_a_run_is_called_by_its_options_too(tmp_path: Path) -> None:
+    """With another environment, or other data, it is no seed of the same."""
+    run = _run(tmp_path / "a", [(10, 1.0)], hyper="tau = 0.01")
+    made = """wrappers = ['my:Wrapper={"by": 2}']\n"""
+    made += "action_repeat = 2\nmax_episode_steps = 9\n"
+    learned = 'variant = "off-policy"\nclock = "async"\ninit_from = "/a-0"\n'
+    learned += 'prior = "/data/p"\nprior_share = 0.25\n'
+    text = (run / "config.toml").read_text()
+    (run / "config.toml").write_text(text.replace("[hyper]", f"{made}{learned}[hyper]"))
+    assert identity(run) == (
+        'Hopper-v5 my:Wrapper={"by":2} action_repeat=2 max_episode_steps=9',
+        "off-policy modern, init_from, prior=/data/p, prior_share=0.25, tau=0.01",
+    )
+    (run / "config.toml").write_text(text.replace("[hyper]", 'clock = "async"\n[hyper]', 1))
+    assert identity(run)[1].startswith("a2s modern, clock=async")
+
+
 def test_a_run_with_many_settings_fits_into_its_picture(tmp_path: Path) -> None:
     """Matplotlib warns, which is an error here, where a legend leaves no room for the curves."""
     settings = {

@@ -27,9 +27,13 @@ _LETTERS = 64  # in the legend of a panel
 Axis = Literal["steps", "time"]
 _COLUMN: dict[Axis, str] = {"steps": "env_steps", "time": "wall_s"}
 _NAMES: dict[Axis, str] = {"steps": "environment steps", "time": "seconds"}
+# Options of a run besides its hyperparameters: without them runs are not alike.
+_OF_ENVIRONMENT = ("action_repeat", "frame_stack", "max_episode_steps")
+_OF_LEARNING = ("clock", "prior", "prior_share")
 _LEAST_SEEDS = 3  # for an interval
 Curve = npt.NDArray[np.float64]
-# By environment, or "environment: metric", then by way of learning: steps and values of each seed.
+# By environment, which has no ": ", or "environment: metric", then by way of learning: steps and
+# values of each seed.
 Panels = dict[str, dict[str, list[tuple[Curve, Curve]]]]
 
 
@@ -193,9 +197,9 @@ def _legend(label: str, num_seeds: int) -> str:
 
 
 def identity(run: Path) -> tuple[str, str]:
-    """Environment, and algorithm and preset with the hyperparameters that differ from it.
+    """Environment with how it was made, and algorithm and preset with what differs from it.
 
-    Of a run of an earlier version, whose hyperparameters have other names, only the former.
+    Of a run of an earlier version, whose hyperparameters have other names, these are left out.
     """
     try:
         options, hyper = configuration.read(run / CONFIG)
@@ -205,8 +209,16 @@ def identity(run: Path) -> tuple[str, str]:
         found = configuration.assemble(options, hyper)
     except UsageError:
         found = configuration.assemble(options, {})
-    of = found.run
+    of, usual = found.run, configuration.assemble({"variant": found.run.variant}, {}).run
+
+    def unusual(names: tuple[str, ...]) -> list[str]:
+        told = ((name, getattr(of, name)) for name in names)
+        return [f"{name}={value}" for name, value in told if value != getattr(usual, name)]
+
     name = f"{of.algo if of.variant == 'on-policy' else of.variant} {of.preset}"
     env = Path(of.env).name if ".py:" in of.env else of.env
     changed = [f"{k}={v}" for k, v in found.changed().items()]
-    return " ".join([env, *of.env_kwargs]), ", ".join([name, *changed])
+    made = " ".join([env, *of.env_kwargs, *of.wrappers, *unusual(_OF_ENVIRONMENT)])
+    begun = ["init_from"] if of.init_from else []  # each seed may have its own
+    learned = [name, *begun, *unusual(_OF_LEARNING), *changed]
+    return made.replace(": ", ":"), ", ".join(learned)
