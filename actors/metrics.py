@@ -27,8 +27,8 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from a2s import __version__
-from a2s.protocol.errors import UsageError
 from a2s.protocol.keys import MAJOR
+from a2s.protocol.serving import not_served
 
 _FAST_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 _SLOW_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1, 0.5, 1.0, 5.0, 10.0)
@@ -241,12 +241,10 @@ def serve(fleet: Fleet, host: str, port: int) -> int:
         The port, which is a free one when ``port`` is 0.
 
     Raises:
-        UsageError: The port is taken.
+        UsageError: The port is taken, or the host is not this machine.
     """
     try:
         server, _ = start_http_server(port, addr=host, registry=fleet.registry)
-    except OSError as error:
-        raise UsageError(
-            f"metrics port {port}: {error.strerror}; choose another with --metrics-port, 0 = any"
-        ) from None
+    except (OSError, UnicodeError) as error:
+        raise not_served(host, port, "--metrics-port", error) from None
     return int(server.server_port)

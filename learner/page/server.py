@@ -15,7 +15,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
 from a2s.learner.page.history import EVERY_S, History
-from a2s.protocol.errors import UsageError
+from a2s.protocol.serving import not_served
 
 _STATIC = files("a2s.learner.page") / "static"
 _PAGE = "index.html"
@@ -35,7 +35,7 @@ class Server:
         port: Where it listens; a free port when 0 was wanted.
 
     Raises:
-        UsageError: The port is taken.
+        UsageError: The port is taken, or the host is not this machine.
     """
 
     def __init__(
@@ -57,11 +57,10 @@ class Server:
             timeout = idle_s
 
         try:
+            host.encode("idna")  # else bind may raise anything
             self._server = make_server(host, port, self._answer, ThreadingWSGIServer, Handler)
-        except OSError as error:
-            raise UsageError(
-                f"port {port}: {error.strerror}; choose another with {option}, 0 = any"
-            ) from None
+        except (OSError, UnicodeError) as error:
+            raise not_served(host, port, option, error) from None
         self.port = int(self._server.server_port)
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()

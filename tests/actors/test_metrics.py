@@ -48,3 +48,10 @@ def test_a_taken_port_is_a_usage_error_that_says_what_to_do() -> None:
     port = serve(Fleet(1), "127.0.0.1", 0)
     with pytest.raises(UsageError, match=f"metrics port {port}: .*--metrics-port"):
         serve(Fleet(1), "127.0.0.1", port)
+
+
+@pytest.mark.parametrize("host", ["nosuch.invalid", "a..b", "192.0.2.1"])
+def test_a_host_that_is_not_here_is_a_usage_error_that_names_its_option(host: str) -> None:
+    """192.0.2.1 is of documentation, and nobody's."""
+    with pytest.raises(UsageError, match=rf"^--metrics-host: found '{host}', expected an address"):
+        serve(Fleet(1), host, 0)

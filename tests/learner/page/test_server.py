@@ -73,6 +73,13 @@ def test_a_port_that_is_taken_is_named_with_the_option(server: Server) -> None:
         Server([], "127.0.0.1", server.port, "--port")
 
 
+@pytest.mark.parametrize("host", ["nosuch.invalid", "a..b", "\u00fc..b", "192.0.2.1"])
+def test_a_host_that_is_not_here_is_named_with_its_option(host: str) -> None:
+    """192.0.2.1 is of documentation, and nobody's."""
+    with pytest.raises(UsageError, match=rf"^--metrics-host: found '{host}', expected an address"):
+        Server([], host, 0, "--metrics-port")
+
+
 def test_who_says_nothing_is_cut_off_and_who_asks_is_answered(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
