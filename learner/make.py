@@ -175,7 +175,7 @@ def make_replay_learner(
         algorithm, source, spaces, metadata, metrics, updates, knows=_knows(learned)
     )
     _begin(trainer, configuration, saved)
-    feed = ReplayFeed(source, trainer, hyper.utd_ratio)
+    feed = ReplayFeed(source, trainer, hyper.utd_ratio, metrics)
     return Learner(
         run=run,
         trainer=trainer,

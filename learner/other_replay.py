@@ -114,9 +114,12 @@ class OtherReplay:
 class ReplayFeed(Feed):
     """Every batch is a round of updates, counted as steps: ``utd_ratio`` updates are worth one."""
 
-    def __init__(self, source: OtherReplay, trainer: Trainer, utd_ratio: float) -> None:
-        self._source, self._trainer = source, trainer
+    def __init__(
+        self, source: OtherReplay, trainer: Trainer, utd_ratio: float, metrics: LearnerMetrics
+    ) -> None:
+        self._source, self._trainer, self._metrics = source, trainer, metrics
         self._updates_per_step = utd_ratio
+        metrics.env_steps.inc(self.env_steps(trainer.updates))  # of earlier starts
 
     def env_steps(self, updates: int) -> int:
         """Environment steps that updates are worth."""
@@ -130,7 +133,9 @@ class ReplayFeed(Feed):
                 return []
             time.sleep(_ASK_AGAIN_S)
         after = updates + _ROUND - updates % _ROUND
-        return [Arrival(0, 0, 0, self.env_steps(after) - self.env_steps(updates))]
+        steps = self.env_steps(after) - self.env_steps(updates)
+        self._metrics.env_steps.inc(steps)
+        return [Arrival(0, 0, 0, steps)]
 
     def next_version(self, version: int) -> int:
         """Nobody plays: weights are called by the number of updates."""

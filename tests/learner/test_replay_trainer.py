@@ -42,6 +42,7 @@ def learner(
     *,
     updates: int = 100,
     resume: bool = False,
+    metrics: LearnerMetrics | None = None,
     **changed: str,
 ) -> Learner:
     """Learn for some updates, from twenty transitions."""
@@ -53,7 +54,7 @@ def learner(
         size=lambda: 20,
         max_size=20,
         path=path,
-        metrics=LearnerMetrics(),
+        metrics=metrics or LearnerMetrics(),
         view=PlainView(io.StringIO()),
         resume=resume,
     )
@@ -67,6 +68,18 @@ def test_no_more_is_waited_for_than_can_come_and_the_end_is_kept(tmp_path: Path)
     header, row = (tmp_path / "updates.csv").read_text().splitlines()
     assert header.startswith("update,wall_s,env_steps,weights_version,epoch,replay_rows,q_loss,")
     assert (row.split(",")[0], *row.split(",")[2:6]) == ("100", "100", "100", "0", "20")
+
+
+def test_the_steps_that_updates_are_worth_are_counted_by_the_metrics(tmp_path: Path) -> None:
+    """Two updates a step; a resumed run counts from where it was."""
+    shown = []
+    for steps in (50, 150):
+        metrics = LearnerMetrics()
+        learner(
+            tmp_path, replay(1.0), updates=steps, resume=steps > 50, metrics=metrics, utd_ratio="2"
+        ).run(lambda: False)
+        shown.append(metrics.registry.get_sample_value("a2s_learner_env_steps_total"))
+    assert shown == [50.0, 150.0]
 
 
 def test_a_replay_that_never_holds_a_batch_is_refused(tmp_path: Path) -> None:
