@@ -164,6 +164,21 @@ def test_times_are_of_the_day_and_legends_say_what_is_latest(
     ) == ["00:00\n2001-09-09", "00:05"]
 
 
+def test_what_was_recovered_before_a_resume_is_no_recovery(
+    wait_for: WaitFor, browser: webdriver.Chrome
+) -> None:
+    """The learner begins to serve before it knows its earlier count, and its target."""
+    history = History("run")
+    recoveries, target = "a2s_learner_recoveries_total", "a2s_learner_target_steps"
+    for second, (count, steps) in enumerate([(0, 0), (3, 100), (4, 100)]):
+        history.add(MIDNIGHT_S + second, {recoveries: count, target: steps})
+    with closing(Server([history], "127.0.0.1", 0, "--port")) as server:
+        browser.get(f"http://127.0.0.1:{server.port}/")
+        wait_for(lambda: "number" in "".join(_texts(browser, "#recoveries li")), "a recovery")
+        (told,) = _texts(browser, "#recoveries li")
+    assert told.startswith("run: number 4 at")
+
+
 def test_several_runs_are_seen_on_one_page(
     start: Start, wait_for: WaitFor, browser: webdriver.Chrome
 ) -> None:

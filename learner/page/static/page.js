@@ -2,7 +2,7 @@
 // The page asks for what is new every two seconds, and keeps two hours. Names are those of /metrics.
 const EVERY_MS = 2000, KEPT_S = 7200, RATE_S = 20, SILENT_S = 30;
 const COLOURS = ["#2f6fdb", "#d9480f", "#2b8a3e", "#ae3ec9", "#0c8599", "#e67700", "#c2255c", "#5c7cfa"];
-const L = "a2s_learner_", STEPS = `${L}env_steps_total`, RECOVERIES = `${L}recoveries_total`;
+const L = "a2s_learner_", STEPS = `${L}env_steps_total`, RECOVERIES = `${L}recoveries_total`, TARGET = `${L}target_steps`;
 const UPDATES = `${L}updates_total`, GRADIENT_STEPS = `${L}gradient_steps_total{network="policy"}`; // the latter off-policy alone
 const PARTS = ["environment", "selection", "learner", "network"];
 const PANELS = [
@@ -90,7 +90,8 @@ function recoveries(run) {
   const count = run.series[RECOVERIES] ?? [];
   const found = [];
   for (let i = 1; i < count.length; i += 1) {
-    if (count[i] > count[i - 1] && count[i - 1] !== null) {
+    // No target yet: the learner takes over the count of its earlier starts.
+    if (count[i] > count[i - 1] && count[i - 1] !== null && run.series[TARGET]?.[i - 1] !== 0) {
       found.push({ i, number: count[i], r: run.series[`${L}recovery_return`]?.[i], best: run.series[`${L}recovery_best_return`]?.[i] });
     }
   }
@@ -105,7 +106,7 @@ function limit(run) {
 
 function showRuns() {
   $("runs").replaceChildren(...runs.map((run) => {
-    const steps = last(run, STEPS) ?? 0, target = last(run, `${L}target_steps`) ?? 0;
+    const steps = last(run, STEPS) ?? 0, target = last(run, TARGET) ?? 0;
     const perS = rate(run.series[STEPS] ?? [], run.t).at(-1) ?? 0;
     const left = perS > 0 && target > steps ? clock((target - steps) / perS) : "-";
     const card = make("article");
@@ -165,7 +166,7 @@ function alertsOf(run) {
   const name = nameOf(run);
   if (!run.up) return [`${name}: the learner cannot be reached; it has ended, or was killed`];
   const found = [];
-  const spans = run.t.length > 1 && run.t.at(-1) - run.t[0] > 60, done = (last(run, STEPS) ?? 0) >= (last(run, `${L}target_steps`) ?? Infinity);
+  const spans = run.t.length > 1 && run.t.at(-1) - run.t[0] > 60, done = (last(run, STEPS) ?? 0) >= (last(run, TARGET) ?? Infinity);
   if (spans && !done && grew(run, STEPS, 60) === 0) found.push("the learner gets no environment steps");
   for (const slot of slots(run)) {
     const state = stateOf(run, slot);
