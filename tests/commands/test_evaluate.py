@@ -56,6 +56,9 @@ def test_the_environment_of_a_run_is_known_and_its_weights_can_be_chosen(
     (run / "best" / "policy.onnx").write_bytes(make_graph())
     (run / "config.toml").write_text(f'[run]\nenv = "{COUNT}"\n')
     assert _evaluate(run, weights="best")["mean"] == 15.0
+    for damaged in ("run = 3", "[run]\nenvs = []", "[run]\nenvs = 0"):  # the policy says enough
+        (run / "config.toml").write_text(damaged)
+        assert _evaluate(run, weights="best")["mean"] == 15.0
     with pytest.raises(UsageError, match=r"latest/policy.onnx: No such file"):
         _evaluate(run)
 

@@ -119,6 +119,6 @@ def line(result: dict[str, Any]) -> str:
 def _num_envs(run: Path) -> int:
     """Environments in each process of the run; the default, where it is not known."""
     try:
-        return int(tomllib.loads((run / "config.toml").read_text())["run"]["envs"])
-    except (OSError, tomllib.TOMLDecodeError, KeyError, ValueError):
+        return max(1, int(tomllib.loads((run / "config.toml").read_text())["run"]["envs"]))
+    except (OSError, tomllib.TOMLDecodeError, KeyError, ValueError, TypeError):
         return _ENVS
