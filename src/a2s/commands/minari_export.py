@@ -19,7 +19,7 @@ from gymnasium.spaces import Box
 
 from a2s import __version__
 from a2s.learner.replay.episodes import Episode, StoredEpisodes
-from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.errors import A2SError, UsageError, said_by
 from a2s.protocol.fields import Array, Spaces
 
 _VARIABLE = "MINARI_DATASETS_PATH"
@@ -124,6 +124,8 @@ def spec_of(env_id: str) -> tuple[EnvSpec | None, str | None]:
         spec = copy.copy(gymnasium.spec(name))
     except (gymnasium.error.Error, ImportError) as error:
         return None, " ".join(str(error).split())
+    except Exception as error:  # noqa: BLE001  # whatever the module raises
+        return None, said_by(error)
     made_by: Any = spec.entry_point
     module, name = (getattr(made_by, key, "") for key in ("__module__", "__qualname__"))
     if module != "__main__" and getattr(sys.modules.get(module), name, None) is made_by:
