@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from rich.table import Table
+from rich.text import Text
 
 from a2s.learner.ingest.members import Member
 from a2s.protocol.messages import ActorStatus
@@ -44,7 +45,7 @@ class ActorTable:
             state = _state(member, now_s)
             rows.append((state == _PLAYS, member.slot, self._row(member, version, now_s), state))
         for *_, cells, state in sorted(rows)[:_MOST_ROWS]:
-            table.add_row(*cells, state)
+            table.add_row(*cells, Text(state))  # an actor's words are no markup
         if len(rows) > _MOST_ROWS:
             table.add_row(f"and {len(rows) - _MOST_ROWS} more")
         return table

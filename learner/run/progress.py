@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, TextIO
 
 from rich.console import Console, RenderableType
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -88,7 +89,7 @@ class LiveView:
     """A bar, the curve of returns, the numbers and the actors, redrawn in place."""
 
     def __init__(self, console: Console, title: str) -> None:
-        self._title = title
+        self._title = escape(title)
         self._display = _Display(
             TextColumn("[bold]{task.description}"),
             BarColumn(),

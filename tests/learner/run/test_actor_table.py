@@ -44,6 +44,12 @@ def test_rates_are_of_the_last_seconds_and_trouble_comes_first() -> None:
     assert _rows(table, members, 108.0)[1][1] == "100"  # what was 5 seconds ago is forgotten
 
 
+def test_what_an_actor_says_is_shown_as_it_is() -> None:
+    """It may look like markup, also like none that is right."""
+    told = "step [/b] of [red]it for 9 s"
+    assert _rows(ActorTable(), [_member(0, doing=told)], 100.0)[0][3] == told
+
+
 def test_who_is_silent_or_has_told_nothing_yet_is_shown_so() -> None:
     new = Member(actor="new", slot=2, num_envs=1, heard_s=119.0)
     assert _rows(ActorTable(), [_member(0), new], 120.0) == [

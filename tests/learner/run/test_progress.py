@@ -50,6 +50,15 @@ def test_lines_come_every_few_seconds_not_at_every_call(status: Status) -> None:
     assert out.getvalue().count("\n") == 1
 
 
+def test_a_title_is_shown_as_it_is(status: Status) -> None:
+    """An environment may lie in a folder whose name looks like markup."""
+    out = io.StringIO()
+    view = LiveView(Console(file=out, force_terminal=True, width=120), "a2s on [/b]/x.py:X")
+    view.show(status, ACTORS, None)
+    view.close()
+    assert "a2s on [/b]/x.py:X" in out.getvalue()
+
+
 def test_the_display_shows_the_numbers(status: Status) -> None:
     out = io.StringIO()
     view = LiveView(Console(file=out, force_terminal=True, width=120), "hopper")
