@@ -299,6 +299,5 @@ class Learner:
     def _look_at_limits(self, members: Sequence[Member]) -> None:
         limits = self._status.limits
         statuses = (member.status for member in members if member.status is not None)
-        if limits.look(time.monotonic(), self._status.learning_s, statuses) and limits.shares:
-            for part, share in limits.shares._asdict().items():
-                self._metrics.time_share.labels(part=part).set(share)
+        if limits.look(time.monotonic(), self._status.learning_s, statuses):
+            self._metrics.show_limits(limits.shares)

@@ -23,6 +23,7 @@ from a2s.learner.on_policy.stats import UpdateStats
 from a2s.learner.page.history import History
 from a2s.learner.page.server import Sampler, Server
 from a2s.learner.run.episode_stats import EpisodeStats
+from a2s.learner.run.limits import Shares
 from a2s.learner.run.status import Status
 from a2s.protocol.keys import MAJOR
 from a2s.protocol.messages import Verdict
@@ -264,6 +265,14 @@ class LearnerMetrics:
             if member.status is not None:
                 self.actor_steps.labels(slot=member.slot).set(member.status.env_steps)
                 self.actor_version.labels(slot=member.slot).set(member.status.weights_version)
+
+    def show_limits(self, shares: Shares | None) -> None:
+        """Show what the last seconds went into; nothing while that is not known."""
+        if shares is None:
+            self.time_share.clear()
+            return
+        for part, share in shares._asdict().items():
+            self.time_share.labels(part=part).set(share)
 
     @contextmanager
     def served(self, host: str, port: int) -> Iterator[int]:

@@ -1,6 +1,7 @@
 """The learner's metrics: what they count after a resume, and who is there."""
 
 from a2s.learner.ingest.members import Member
+from a2s.learner.run.limits import Shares
 from a2s.learner.run.metrics import LearnerMetrics
 from a2s.learner.run.run_config import RunConfig
 from a2s.learner.run.status import Status
@@ -26,6 +27,14 @@ def test_off_policy_gradient_steps_go_on_as_well() -> None:
     metrics.go_on(Status(run, rows=3, updates=90))
     counted = [_value(metrics, "gradient_steps_total", network=n) for n in ("q", "policy")]
     assert (counted, _value(metrics, "updates_total")) == ([90.0, 90.0], 3.0)
+
+
+def test_what_limits_a_run_is_not_told_of_actors_that_have_gone() -> None:
+    metrics = LearnerMetrics()
+    metrics.show_limits(Shares(0.5, 0.25, 0.125, 0.125))
+    assert _value(metrics, "time_share", part="environment") == 0.25
+    metrics.show_limits(None)
+    assert _value(metrics, "time_share", part="environment") is None
 
 
 def test_an_actor_that_leaves_is_shown_as_gone() -> None:
