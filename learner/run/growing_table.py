@@ -31,9 +31,9 @@ class GrowingTable:
 
     def append(self, row: Sequence[object], metrics: Mapping[str, float]) -> None:
         """Append a row; so many metrics that the table would be too wide are left out."""
-        added = [name for name in metrics if name not in self.metrics]
-        if added:
-            self._add_columns(added[: MAX_METRICS - len(self.metrics)])
+        unknown = [name for name in metrics if name not in self.metrics]
+        if added := unknown[: MAX_METRICS - len(self.metrics)]:
+            self._add_columns(added)
         told = [f"{metrics[name]:.9g}" if name in metrics else "" for name in self.metrics]
         csv.writer(self._file).writerow([*row, *told])
 

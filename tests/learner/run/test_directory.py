@@ -10,6 +10,7 @@ import pytest
 
 from a2s.learner.run.directory import RunDirectory, claimed
 from a2s.learner.run.writing import write_atomically
+from a2s.protocol.checks import MAX_METRICS
 from a2s.protocol.errors import RunDirectoryError
 
 NoRoom = Callable[[], AbstractContextManager[None]]
@@ -115,6 +116,19 @@ def test_what_environments_tell_has_columns_from_the_first_episode_that_has_it(
     header, first, *_, last = (tmp_path / "episodes.csv").read_text().splitlines()
     assert header.endswith(",terminated,is_success,distance")
     assert (first, last) == ("0.000,5,0,1,1,5,1,,", "0.000,5,0,1,1,5,1,,0.25")
+
+
+def test_a_table_that_is_as_wide_as_it_may_be_is_not_written_anew(tmp_path: Path) -> None:
+    """An episode with more metrics is appended, without them."""
+    row, table = (5, 0, 1, "1", 5, 1), tmp_path / "episodes.csv"
+    directory = RunDirectory(tmp_path, ("update",), lambda: 0.0)
+    directory.episode(row, {f"m{i}": 1.0 for i in range(MAX_METRICS)})
+    before = table.stat().st_ino
+    directory.episode(row, {"m0": 2.0, "more": 3.0})
+    assert table.stat().st_ino == before
+    *_, (_, _, _, told) = directory.read_episodes()
+    assert told == {"m0": 2.0}
+    directory.close()
 
 
 @pytest.mark.parametrize("torn", ["1.000,9", "1.000,9,0,1,-3.25,5,1"])
