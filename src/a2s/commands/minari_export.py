@@ -19,11 +19,15 @@ from gymnasium.spaces import Box
 
 from a2s import __version__
 from a2s.learner.replay.episodes import Episode, StoredEpisodes
+from a2s.learner.run import config as configuration
+from a2s.learner.run.directory import CONFIG
+from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import A2SError, UsageError, said_by
 from a2s.protocol.fields import Array, Spaces
 
 _VARIABLE = "MINARI_DATASETS_PATH"
 _GROUP_BYTES = 16 * 1024
+_OUTSIDE = ("wrappers", "action_repeat", "frame_stack")
 
 
 def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
@@ -51,7 +55,7 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
     root = Path(root or kept).absolute()  # Minari takes a relative one for relative to itself
     stored = StoredEpisodes(path)
     spaces = stored.about.spaces
-    spec, no_spec = spec_of(stored.about.env_id)
+    spec, no_spec = spec_of(stored.about.env_id, _made_by_run(path))
     episodes = list(stored)
     if not episodes:
         raise UsageError(f"replay {path}: found no whole episode, {stored.left_out} in part")
@@ -111,8 +115,16 @@ def executed(action: Array, spaces: Spaces) -> Array:
     return np.clip(wide, low, high)
 
 
-def spec_of(env_id: str) -> tuple[EnvSpec | None, str | None]:
-    """Find how to make the environment; the data are useful without it too.
+def _made_by_run(path: Path) -> EnvConfig | None:
+    """How the run of a replay made its environment; ``None``: it is not that of a run."""
+    config = path.parent / CONFIG
+    if path.name != "replay" or not config.exists():
+        return None
+    return configuration.assemble(configuration.read(config)[0], {}).run.env_config()
+
+
+def spec_of(env_id: str, made: EnvConfig | None = None) -> tuple[EnvSpec | None, str | None]:
+    """Find how to make the environment as the run did; the data are useful without it too.
 
     Returns:
         The spec, and ``None``; or ``None``, and the reason why it cannot be written down.
@@ -126,6 +138,13 @@ def spec_of(env_id: str) -> tuple[EnvSpec | None, str | None]:
         return None, " ".join(str(error).split())
     except Exception as error:  # noqa: BLE001  # whatever the module raises
         return None, said_by(error)
+    if made is not None:
+        usual = EnvConfig(env_id=env_id)
+        others = [each for each in _OUTSIDE if getattr(made, each) != getattr(usual, each)]
+        if others:
+            return None, f"the run made it with {', '.join(others)}, which a spec does not keep"
+        spec.kwargs = {**spec.kwargs, **made.constructor_arguments(0, 0)}
+        spec.max_episode_steps = made.max_episode_steps or spec.max_episode_steps
     made_by: Any = spec.entry_point
     module, name = (getattr(made_by, key, "") for key in ("__module__", "__qualname__"))
     if module != "__main__" and getattr(sys.modules.get(module), name, None) is made_by:
