@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 from typer.testing import CliRunner
@@ -10,9 +11,11 @@ from typer.testing import CliRunner
 from a2s import cli
 from a2s.commands import bench
 from a2s.commands.bench import Contender, Contest
-from a2s.commands.bench_load import Tally, rows
+from a2s.commands.bench_load import Tally, load, rows
+from a2s.commands.process import free_endpoint
 from a2s.learner.run.config import off_policy
-from a2s.protocol.errors import A2SError, UsageError
+from a2s.protocol.errors import A2SError, UnreachableError, UsageError
+from a2s.protocol.zenoh_bus import ZenohBus
 
 FASTEST = off_policy("sac", {}).precision
 
@@ -81,6 +84,16 @@ def test_every_suite_measures_something(suite: str, names: list[str]) -> None:
     assert all(list(row) == ["name", "value", "unit", "baseline", "ratio"] for row in rows)
     assert all(row["value"] > 0 for row in rows)
     assert set(names) <= {row["name"] for row in rows}
+
+
+def test_a_load_for_a_run_that_nobody_answers_to_is_refused() -> None:
+    """And not measured as one that is answered nothing."""
+    endpoint = free_endpoint()
+    with (
+        closing(ZenohBus.listen(endpoint)),
+        pytest.raises(UnreachableError, match=r"no answer for run 'nosuch'; name another with --"),
+    ):
+        load(1, connect=endpoint, run="nosuch", pace_s=0.0, seconds=0.1)
 
 
 @pytest.mark.slow

@@ -16,10 +16,11 @@ import numpy as np
 
 from a2s.commands.bench_data import ENV_ID, make_segment
 from a2s.commands.process import free_endpoint
+from a2s.commands.status import ask
 from a2s.commands.train import started
 from a2s.protocol.codec import decode, encode
-from a2s.protocol.errors import RefusedError
-from a2s.protocol.keys import Keys
+from a2s.protocol.errors import RefusedError, UnreachableError
+from a2s.protocol.keys import Keys, other_runs
 from a2s.protocol.messages import Ack, Hello, Notice, Refusal, Segment, Weights, Welcome
 from a2s.protocol.zenoh_bus import ZenohBus
 
@@ -206,7 +207,11 @@ def load(
         stack.callback(stop.set)
         give_up_s = perf_counter() + _START_S
         # Only a learner that was started here may still be on its way.
-        ZenohBus.connect(endpoint, lambda: not connect and perf_counter() < give_up_s).close()
+        coming = ZenohBus.connect(endpoint, lambda: not connect and perf_counter() < give_up_s)
+        with closing(coming) as bus:
+            if connect and ask(bus, Keys(run)) is None:
+                hint = other_runs(bus, run) or "; name another with --run"
+                raise UnreachableError(f"bench wire: {connect}: no answer for run {run!r}{hint}")
 
         def play(index: int) -> None:
             with closing(ZenohBus.connect(endpoint, lambda: False)) as bus:
