@@ -17,7 +17,8 @@ Made from the code by `make docs`; do not edit. `a2s COMMAND --help` says the sa
   be given by a variable: `--total-steps` by `A2S_TOTAL_STEPS`. The option comes first, then the
   variable, then `--config`, then the default ([configuration](configuration.md)).
 - A number of steps may be written as `1e6`.
-- `--json` prints one JSON object as the last line of standard output, and all else elsewhere.
+- `--json` prints JSON as the last line of standard output, and all else elsewhere: an array in
+  `a2s bench`, `compare` and `doctor`, an object in the others.
 - Exit codes: 0 done, 1 failed, 2 a mistake in the command, 128 and its number after a signal
   (130: Ctrl-C). An error is one line on standard error. Output that cannot be written is a failure,
   too; where only its reader has gone, as of a pipe into `head`, without that line. `a2s learner`,

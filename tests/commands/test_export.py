@@ -141,6 +141,17 @@ def test_the_card_says_nothing_of_other_weights(tmp_path: Path, make_graph: Make
     assert ["for 1,000 steps" in card for card in cards] == [True, True, False]
 
 
+def test_a_file_that_is_called_as_another_of_the_folder_is_refused(
+    tmp_path: Path, make_graph: MakeGraph
+) -> None:
+    (tmp_path / "rollout.py").write_text(OWN)
+    told = {"env": f"{tmp_path / 'rollout.py'}:Own"}
+    (tmp_path / "policy.onnx").write_bytes(make_graph(metadata=told))
+    with pytest.raises(UsageError, match=r"found two files for rollout.py of the folder"):
+        export_run(tmp_path / "policy.onnx", tmp_path / "out", "latest")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_file_that_is_gone_is_named(tmp_path: Path, make_graph: MakeGraph) -> None:
     """Nothing is written without it."""
     (tmp_path / "policy.onnx").write_bytes(make_graph(metadata={"env": "/nowhere/own.py:Own"}))

@@ -40,9 +40,8 @@ def export_run(run: Path, output: Path, weights: str) -> list[Path]:
         CARD: _card(config, metadata, _summary(run, weights)),
     }
     own = _files_of(config)
-    for file in own:
-        if not file.is_file():
-            raise UsageError(f"{path}: found no {file}, which its environment needs; restore it")
+    names = [POLICY, *texts, *(file.name for file in own)]
+    _require(path, own, names)
     try:
         output.mkdir(parents=True)
         shutil.copyfile(path, output / POLICY)
@@ -54,13 +53,25 @@ def export_run(run: Path, output: Path, weights: str) -> list[Path]:
         raise UsageError(f"--output: {output} exists; name a new folder") from None
     except OSError as error:
         raise UsageError(f"--output: {output}: {error.strerror}") from None
-    return [output / name for name in (POLICY, *texts, *(file.name for file in own))]
+    return [output / name for name in names]
 
 
 def _files_of(config: EnvConfig) -> list[Path]:
     """The user's files that the environment and its wrappers are classes of, each once."""
     places = (code.rpartition(":")[0] for code in config.code)
     return [Path(place) for place in dict.fromkeys(places) if place.endswith(".py")]
+
+
+def _require(path: Path, own: list[Path], names: list[str]) -> None:
+    """Require that the environment's files are there, and that no two of the folder have a name."""
+    for file in own:
+        if not file.is_file():
+            raise UsageError(f"{path}: found no {file}, which its environment needs; restore it")
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise UsageError(
+            f"{path}: found two files for {twice} of the folder, expected one: that of the "
+            "environment needs another name"
+        )
 
 
 def _beside(wrapper: str) -> str:

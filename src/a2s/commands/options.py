@@ -327,7 +327,7 @@ Again = Annotated[str | None, option(  # from a2s train to its learner
     _PLACE, "--again", hidden=True, envvar=None, help="The command that goes on with the run.",
 )]
 Json = Annotated[bool, option(
-    _PLACE, "--json", help="Print one JSON object as the last line of standard output.",
+    _PLACE, "--json", help="Print JSON as the last line of standard output.",
 )]
 
 # fmt: on
