@@ -78,12 +78,21 @@ def test_a_directory_in_which_a_learner_is_at_work_is_refused(tmp_path: Path) ->
     assert [file.name for file in tmp_path.iterdir()] == ["lock"]
 
 
-def test_what_it_starts_takes_no_password_from_the_variable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "variable",
+    [
+        "A2S_PASSWORD",  # for a learner elsewhere; the one that is started here would refuse it
+        "A2S_TOTAL_STEPS",  # is in the configuration, unless an option has beaten it
+        "A2S_SET",
+        "A2S_REPLAY_FROM",  # not of this command
+        "A2S_EVALUATE",
+    ],
+)
+def test_what_it_starts_takes_nothing_from_variables(
+    variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is for a learner elsewhere; the one that is started here would refuse it."""
-    monkeypatch.setenv("A2S_PASSWORD", "actor:secret")
-    program = "import os; print('A2S_PASSWORD' in os.environ)"
+    monkeypatch.setenv(variable, "x")
+    program = f"import os; print({variable!r} in os.environ)"
     monkeypatch.setattr(train_command, "PROGRAM", (sys.executable, "-c", program))
     with (tmp_path / "a.log").open("w") as out, train_command.started([], out) as process:
         assert process.wait(30.0) == 0

@@ -21,6 +21,7 @@ _ALGORITHM = "The algorithm"
 _PLACE = "Where"
 _REPLAY = "Another run's replay"
 LOOPBACK = "127.0.0.1"
+VARIABLES = set[str]()  # of all options
 _MAX_SHOWN = 100_000  # a range that ends beyond says nothing to a reader
 
 
@@ -65,7 +66,10 @@ def option(panel: str | None, *names: str, **settings: Any) -> Any:
     The variable is not shown: all follow this one rule, which the program's help says.
     """
     common = {"envvar": _variable(names[0]), "show_envvar": False, "rich_help_panel": panel}
-    return typer.Option(*names, **{**common, **settings})
+    settings = {**common, **settings}
+    if variable := settings["envvar"]:
+        VARIABLES.add(variable)
+    return typer.Option(*names, **settings)
 
 
 def whole_number(

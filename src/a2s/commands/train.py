@@ -21,6 +21,7 @@ from typing import IO, Any, TextIO
 import typer
 
 from a2s.commands.evaluate import evaluate_run
+from a2s.commands.options import VARIABLES
 from a2s.commands.plot import plot
 from a2s.commands.process import (
     EXIT_FAILED,
@@ -234,10 +235,12 @@ def started(
 ) -> Iterator[Process]:
     """Run a command as long as the block lasts, in a process group of its own.
 
-    It shares the open ``files``, and has no password but that of a file: a learner without users
-    refuses one. Ctrl-C reaches only this process, which ends it cleanly.
+    It shares the open ``files``, and is told by ``options`` alone: variables are of the command
+    that the user has called. It has no password but that of a file: a learner without users refuses
+    one. Ctrl-C reaches only this process, which ends it cleanly.
     """
     libc = ctypes.CDLL(None)
+    left_out = {*VARIABLES, passwords.VARIABLE}
 
     def begin() -> None:
         libc.prctl(_DIE_WITH_PARENT, signal.SIGTERM)
@@ -249,7 +252,7 @@ def started(
         stderr=subprocess.STDOUT if out.name.endswith(".log") else None,
         process_group=0,
         pass_fds=files,
-        env={name: value for name, value in os.environ.items() if name != passwords.VARIABLE},
+        env={name: value for name, value in os.environ.items() if name not in left_out},
         preexec_fn=begin,
     )
     try:
