@@ -1,5 +1,6 @@
 """The command line: parses options and calls; every command imports what it needs when it runs."""
 
+import errno
 import json
 import shlex
 import sys
@@ -294,6 +295,11 @@ def main() -> None:
             f"a2s: {error.filename}: {error.strerror}; run as a user with read and write access\n"
         )
         sys.exit(EXIT_FAILED)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        sys.stderr.write(f"a2s: {error.filename}: {error.strerror}; name a shorter one\n")
+        sys.exit(EXIT_USAGE)
 
 
 if __name__ == "__main__":

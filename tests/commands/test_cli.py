@@ -93,6 +93,25 @@ def test_a_mistake_gets_one_line(arguments: list[str], said: str, a2s: Run) -> N
 
 
 @pytest.mark.parametrize(
+    "arguments",
+    [
+        ["train", "--run-dir", "x" * 300],
+        ["learner", "--replay-from", "x" * 300],
+        ["learner", "--replay-journal", "x" * 300],
+        ["actor", "--allow-env", "x" * 300 + ".py"],
+        ["actor", "--tls", "x" * 300],
+        ["certs", "x" * 300],
+        ["doctor", "x" * 300],
+    ],
+    ids=lambda arguments: " ".join(arguments[:-1]),
+)
+def test_a_name_that_is_too_long_gets_one_line(arguments: list[str], a2s: Run) -> None:
+    code, _, error = a2s(*arguments)
+    assert code == 2
+    assert re.fullmatch(r"a2s: x{300}\S*: File name too long; name a shorter one\n", error)
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         (("--env-kwargs", "novalue"), "--env-kwargs: found 'novalue'"),
