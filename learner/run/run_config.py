@@ -44,7 +44,9 @@ class RunConfig(Settings):
     variant: Variant = setting("on-policy", "Algorithm 1 of the paper, or 2")
     algo: Algo = setting("a2s", "a2s, or a2c: one suggestion, no Q")
     preset: str = setting("modern", "Named set of hyperparameters")
-    total_steps: int = setting(1_000_000, "Environment steps at which the run ends", low=1)
+    total_steps: int = setting(
+        1_000_000, "Environment steps at which the run ends", low=1, high=2**63 - 1
+    )
     seed: int = setting(0, "Seed of everything", low=0, high=2**63 - 1)
     clock: Clock = setting("lockstep", "lockstep: one version, one batch; async: actors never wait")
     init_from: str = setting("", "Run directory whose weights it begins with, as far as they fit")

@@ -72,6 +72,7 @@ Run = Callable[..., tuple[int, str, str]]
             ["train", "--variant", "off-policy", "--prior", "x", "--prior-share", "1"],
             "prior_share: found 1.0, expected a number from 0.01 to 0.99",
         ),
+        (["learner", "--print-config", "--total-steps", "1e20"], "total_steps: found 10000000000"),
         (["learner", "--config", "missing.toml"], "missing.toml: No such file"),
         (["learner", "--resume"], "found no run 'default'"),
         (["learner", "--resume", "--run-dir", "nowhere"], "nowhere holds no config.toml"),
