@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from a2s import cli
 from a2s.commands.run_cli import again_by
 from a2s.learner.run.directory import claimed
+from a2s.protocol.errors import UsageError
 
 
 def _print_config(*arguments: str) -> str:
@@ -66,6 +67,14 @@ def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
 )
 def test_recovery_is_the_rule_of_the_preset_or_off(arguments: list[str], rule: str) -> None:
     assert f'\nrecovery = "{rule}"' in _print_config(*arguments)
+
+
+def test_a_preset_of_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('[run]\npreset = ["modern"]\n')
+    options = ["learner", "--print-config", "--config", str(file), "--recovery"]
+    with pytest.raises(UsageError, match="preset"):
+        CliRunner().invoke(cli.app, options, catch_exceptions=False)
 
 
 def test_a_printed_configuration_loads_again(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def configure(
         config = config or path / CONFIG
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
     variant = given.get("variant", run_table.get("variant", "on-policy"))
-    preset = given.get("preset", run_table.get("preset", "modern"))
+    preset = str(given.get("preset", run_table.get("preset", "modern")))
     _move_shorthands(given, hyper, variant, preset)
     # A complete file states every value; another preset or algorithm means its own values.
     if any(
