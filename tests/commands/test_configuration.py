@@ -69,6 +69,22 @@ def test_recovery_is_the_rule_of_the_preset_or_off(arguments: list[str], rule: s
     assert f'\nrecovery = "{rule}"' in _print_config(*arguments)
 
 
+def test_files_that_a_file_names_are_found_from_another_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of options are, too: a run keeps their absolute names."""
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(
+        '[run]\nenv = "./sim.py:Walk"\nwrappers = ["./sim.py:Slow={\\"by\\": 2}"]\n'
+        'variant = "off-policy"\nprior = "data"\ninit_from = "before"\n'
+    )
+    said = _print_config("--config", "mine.toml")
+    assert f'\nenv = "{tmp_path}/sim.py:Walk"\n' in said
+    assert f'"{tmp_path}/sim.py:Slow={{' in said
+    assert f'\nprior = "{tmp_path}/data"\n' in said
+    assert f'\ninit_from = "{tmp_path}/before"\n' in said
+
+
 def test_a_preset_of_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('[run]\npreset = ["modern"]\n')

@@ -11,6 +11,7 @@ from a2s.learner.run import config as configuration
 from a2s.learner.run.choice import choose
 from a2s.learner.run.config import Configuration, recovery_of
 from a2s.learner.run.directory import CONFIG, claimed
+from a2s.learner.run.run_config import RunConfig
 from a2s.protocol.env_config import EnvConfig, kwargs_of, wrapper_of
 from a2s.protocol.errors import A2SError, MalformedMessageError, UsageError
 
@@ -36,14 +37,9 @@ def configure(
     Raises:
         UsageError: Something is unknown, impossible or in use.
     """
-    given = {name: value for name, value in options.items() if value is not None}
-    if "env" in given:
-        given["env"] = placed(given["env"])
-    if "wrappers" in given:
-        given["wrappers"] = tuple(placed(wrapper) for wrapper in given["wrappers"])
-    if "lockstep" in given:
-        given["clock"] = "lockstep" if given.pop("lockstep") else "async"
+    given = _given(options)
     hyper = configuration.parse_settings(settings or [])
+    is_of_user = config is not None
     if resume:
         path = choose(ROOT, given.get("run", "default"), run_dir, resume=True)
         config = config or path / CONFIG
@@ -61,6 +57,8 @@ def configure(
     if config is not None:
         configuration.require_known(config, hyper_table, variant, preset)
     assembled = configuration.assemble({**defaults, **run_table, **given}, {**hyper_table, **hyper})
+    if is_of_user:
+        assembled = replace(assembled, run=_all_placed(assembled.run))
     if not resume:
         path = choose(ROOT, assembled.run.run, run_dir, resume=False)
     return assembled, path.absolute()
@@ -82,6 +80,25 @@ def placed(env: str) -> str:
     """Name the file of an environment, if it is one, from any working directory."""
     place, py, name = env.partition(".py:")
     return f"{Path(place).absolute()}{py}{name}" if py and "=" not in place else env
+
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that are given, as a file would have them."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if "env" in given:
+        given["env"] = placed(given["env"])
+    if "wrappers" in given:
+        given["wrappers"] = tuple(placed(wrapper) for wrapper in given["wrappers"])
+    if "lockstep" in given:
+        given["clock"] = "lockstep" if given.pop("lockstep") else "async"
+    return given
+
+
+def _all_placed(run: RunConfig) -> RunConfig:
+    """Name all that a file has named from here, as options are, from any working directory."""
+    init_from, prior = (x and str(Path(x).absolute()) for x in (run.init_from, run.prior))
+    env, wrappers = placed(run.env), tuple(map(placed, run.wrappers))
+    return replace(run, env=env, wrappers=wrappers, init_from=init_from, prior=prior)
 
 
 def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -> EnvConfig:
