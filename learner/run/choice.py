@@ -1,6 +1,7 @@
 """Which directory a run is kept in: never one in which another has been, and none for nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from a2s.learner.run.directory import CONFIG, LOCK
@@ -37,6 +38,36 @@ def choose(root: Path, run: str, run_dir: Path | None, *, resume: bool) -> Path:
     elif _learned_in(run_dir):
         require_config(run_dir, "--run-dir: ")
     return run_dir
+
+
+@contextmanager
+def made(root: Path, run: str) -> Iterator[Path]:
+    """Make the first directory that is free: of runs that begin at once, each has its own.
+
+    In the end it is removed, if nothing but traces of a refused start is in it.
+    """
+    is_new = not root.exists()
+    path = _first_made(root, run)
+    try:
+        yield path
+    finally:
+        remove_traces(path)
+        if is_new:
+            with suppress(OSError):  # it is not empty
+                root.rmdir()
+
+
+def _first_made(root: Path, run: str) -> Path:
+    while True:
+        path = choose(root, run, None, resume=False)
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            if path.exists():
+                continue  # another run was quicker
+        except OSError:
+            pass  # said by whoever claims it
+        return path
 
 
 def require_config(path: Path, subject: str = "") -> None:

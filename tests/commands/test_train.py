@@ -1,7 +1,10 @@
 """``a2s train`` refuses a directory before it starts anything, and advises what can be done."""
 
 import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import pytest
 from typer.testing import CliRunner
@@ -13,6 +16,8 @@ from a2s.learner.run.config import assemble
 from a2s.learner.run.directory import claimed
 from a2s.protocol.errors import RunDirectoryError
 from a2s.protocol.identity import Security
+
+WaitFor = Callable[..., None]
 
 
 def _train(path: Path, *, resume: bool = False) -> int:
@@ -107,3 +112,26 @@ def test_a_learner_that_cannot_begin_has_the_last_word(
     (tmp_path / "config.toml").touch()  # without a checkpoint
     assert _train(tmp_path, resume=True) == 1
     assert capfd.readouterr().err.splitlines()[-1].startswith(f"a2s: {tmp_path}")
+
+
+@pytest.mark.slow
+def test_a_learner_that_comes_second_is_no_run_to_go_on_with(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], wait_for: WaitFor
+) -> None:
+    """The other one began while it started: its line says so, and no other advises to resume."""
+    path, over = tmp_path / "run", Event()
+
+    def learn() -> None:
+        wait_for((path / "actors.log").exists, "a start")
+        with claimed(path):
+            (path / "generation").write_text("1")
+            over.wait(60.0)
+
+    with ThreadPoolExecutor(1) as other:
+        learning = other.submit(learn)
+        try:
+            assert _train(path) == 1
+        finally:
+            over.set()
+        learning.result()
+    assert capfd.readouterr().err.splitlines()[-1].endswith("is at work there; stop it")

@@ -182,7 +182,8 @@ def _configure(
 ) -> tuple["Configuration", Path]:
     """Make the configuration of a run, and choose its directory; ``--print-config`` ends here."""
     require_learner()
-    from a2s.commands.configure import configure, unfinished
+    from a2s.commands.configure import ROOT, configure, unfinished
+    from a2s.learner.run.choice import made
 
     settings, resume = context.params["settings"], context.params["resume"]
     configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
@@ -199,6 +200,8 @@ def _configure(
         raise typer.Exit
     if not resume and run_dir is None and (other := unfinished(configuration.run.run)) is not None:
         typer.echo(f"{other} has not ended; --resume goes on with it", err=True)
+    if not resume and run_dir is None:
+        path = context.with_resource(made(ROOT, configuration.run.run)).absolute()
     return configuration, path
 
 

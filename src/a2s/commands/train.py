@@ -173,7 +173,12 @@ def _run(
                 started(evaluator_options, other_log, niceness=_NICENESS)
             )
         _wait(learner, actors, evaluator, path, stop, lambda: _starts(path) != before)
-    remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
+    try:
+        with run_directory.claimed(path):
+            remove_traces(path, ACTORS_LOG, EVALUATOR_LOG)
+    except A2SError:  # another learner is at work there
+        if learner.returncode > 0:
+            return learner.returncode
     # A learner that is still starting, or whose work is done, ends at once.
     if stop.interrupted and learner.returncode == -signal.SIGTERM:
         return stop.exit_code

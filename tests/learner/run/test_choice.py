@@ -1,12 +1,14 @@
 """Which directory a run is kept in: no other run is lost in it, and no refused one left."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 from typer.testing import CliRunner
 
 from a2s.cli import app
-from a2s.learner.run.choice import choose, remove_traces
+from a2s.learner.run.choice import choose, made, remove_traces
 from a2s.protocol.errors import UsageError
 
 
@@ -45,6 +47,38 @@ def test_a_run_gets_a_directory_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "hop-3").mkdir()
     assert choose(tmp_path, "hop", None, resume=False) == tmp_path / "hop-4"
     assert choose(tmp_path, "hop", None, resume=True) == tmp_path / "hop-2"  # 3 never began
+
+
+def test_runs_that_begin_at_once_get_directories_of_their_own(tmp_path: Path) -> None:
+    """One in which nothing is written is removed, with the root that it has made."""
+    root = tmp_path / "runs"
+    together = Barrier(8)
+
+    def begin(_number: int) -> Path:
+        together.wait()
+        with made(root, "hop") as path:
+            together.wait()
+        return path
+
+    with ThreadPoolExecutor(8) as threads:
+        paths = set(threads.map(begin, range(8)))
+    assert paths == {root / "hop"} | {root / f"hop-{number}" for number in range(2, 9)}
+    with made(tmp_path / "other", "hop") as path:
+        assert path.is_dir()
+    assert not (tmp_path / "other").exists()
+    assert not list(root.glob("*"))
+    with made(root, "hop") as path:
+        (path / "config.toml").touch()
+    assert path.exists()
+
+
+def test_a_start_that_is_refused_leaves_no_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["learner", "--env", "NoSuchThing-v5"])
+    assert isinstance(done.exception, UsageError)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_named_directory_is_never_overwritten(tmp_path: Path) -> None:
