@@ -218,3 +218,15 @@ def test_what_is_learned_again_needs_a_directory_of_its_own(a2s: A2S, tmp_path: 
     code, _, err = a2s("learner", "--replay-journal", "run")
     said = "run-again is not empty; delete it, or name another with --run-dir"
     assert (code, err) == (2, f"a2s: --replay-journal: {said}\n")
+
+
+def test_what_is_learned_again_is_beside_a_run_that_is_named_by_dots(
+    a2s: A2S, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("run/inner", "run-again/inner"):
+        (tmp_path / name).mkdir(parents=True)
+    for place, dots in (("run", "."), ("run/inner", "..")):
+        monkeypatch.chdir(tmp_path / place)
+        code, _, err = a2s("learner", "--replay-journal", dots)
+        assert code == 2
+        assert f"{tmp_path}/run-again is not empty" in err

@@ -154,8 +154,11 @@ def again_by(context: typer.Context, path: Path) -> str:
 
 
 def _place_again(journal: str, run_dir: Path | None) -> Path:
-    """Where a run is learned again: in an empty directory."""
-    path = run_dir or Path(f"{Path(journal)}-again")
+    """Where a run is learned again: in an empty directory, beside it where none is named."""
+    source = Path(journal)
+    if source.name in ("", ".."):  # it is named as . or ..
+        source = source.resolve()
+    path = run_dir or Path(f"{source}-again")
     if path.is_dir() and any(path.iterdir()):
         raise UsageError(
             f"--replay-journal: {path} is not empty; delete it, or name another with --run-dir"
