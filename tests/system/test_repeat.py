@@ -36,6 +36,11 @@ def test_an_async_run_is_learned_again_to_the_same_weights(
     assert again["weights_sha256"] == summary["weights_sha256"]
     assert again["updates"] == summary["updates"]
     assert again["equal"]
+    damaged = again["equal"][0]
+    (tmp_path / "run" / "checkpoints" / damaged / "SHA256SUMS").unlink()
+    without = a2s(*told, "without", cwd=tmp_path)
+    assert without.code == 0, without.err
+    assert json.loads(without.out.splitlines()[-1])["equal"] == again["equal"][1:]
     for later in sorted((tmp_path / "run" / "checkpoints").iterdir())[1:]:
         shutil.rmtree(later)
     alone = a2s("learner", "--replay-journal", "run", "--metrics-port", "-1", cwd=tmp_path)
