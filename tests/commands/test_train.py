@@ -27,6 +27,7 @@ def _train(path: Path, *, resume: bool = False) -> int:
         listen=None,
         security=Security(),
         metrics_port=-1,
+        metrics_host="127.0.0.1",
         fast_envs=True,
         resume=resume,
         as_json=False,

@@ -203,6 +203,16 @@ def test_actors_go_on_with_a_learner_that_begins_anew(
     _assert_balance(_summary(tmp_path / "two")["segments"])
 
 
+def test_a_training_serves_all_its_metrics_on_the_host_that_is_named(
+    start: Start, tmp_path: Path
+) -> None:
+    place = ("--run-dir", "run", "--metrics-host", "127.0.0.2", "--metrics-port", "0")
+    train = start("train", *REACH, *FAST, *place, "--total-steps", "300", "--episodes", "1")
+    assert train.process.wait(PATIENCE_S) == 0
+    for text in (train.text(), (tmp_path / "run" / "actors.log").read_text()):
+        assert "http://127.0.0.2:" in text
+
+
 @pytest.mark.long
 def test_actors_that_cannot_work_end_the_training_with_the_reason(
     start: Start, tmp_path: Path

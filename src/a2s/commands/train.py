@@ -75,6 +75,7 @@ def train(
     listen: str | None,
     security: Security,
     metrics_port: int | None,
+    metrics_host: str,
     fast_envs: bool,
     resume: bool,
     as_json: bool,
@@ -84,8 +85,8 @@ def train(
     """Train, evaluate, plot, and say where everything is.
 
     The learner listens on a free port of this machine where ``listen`` is ``None``; the actors
-    serve their metrics on a free port. ``fast_envs`` is theirs; ``evaluation`` has the arguments of
-    `evaluate_run`.
+    serve their metrics on a free port. ``fast_envs`` is theirs, ``metrics_host`` of both;
+    ``evaluation`` has the arguments of `evaluate_run`.
     ``as_json`` prints the summary as the last line of standard output, and all else elsewhere.
     ``again`` is the command that goes on with the run.
 
@@ -108,13 +109,14 @@ def train(
         config.flush()
         learner = ["learner", "--config", f"/dev/fd/{config.fileno()}", "--run-dir", str(path)]
         learner += ["--listen", endpoint, *security.words(), "--again", again]
-        learner += ["--resume"] if resume else []
+        learner += ["--metrics-host", metrics_host, *(["--resume"] if resume else [])]
         learner += [] if metrics_port is None else ["--metrics-port", str(metrics_port)]
         actor = ["actor", "--n", str(run.n), "--run", run.run, "--connect", endpoint]
         actor += [word for code in run.env_config().code for word in ("--allow-env", code)]
         actor += replace(security, insecure=False).words()
         actor += [] if fast_envs else ["--no-fast-envs"]
         actor += ["--metrics-port", "-1" if metrics_port == -1 else "0"]
+        actor += ["--metrics-host", metrics_host]
         evaluator = [*actor, "--n", "1", "--evaluate"] if run.evaluate_every else []
         starting = started(learner, out, files=(config.fileno(),))
         each = f"{run.envs} environment{'s' if run.envs > 1 else ''}"
