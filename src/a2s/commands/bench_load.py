@@ -107,7 +107,7 @@ class _Session:
                     weights_version=notice.version, terminated=True, truncated=False,
                     episode_return=float(self._rng.standard_normal()),
                 )  # fmt: skip
-            fetched = notice
+                fetched = notice
             if not self._is_free(free_s, notice):
                 continue
             sent, begin_s = notice, perf_counter()

@@ -3,7 +3,8 @@
 import json
 import math
 import shutil
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,14 +94,13 @@ def repeat(configuration: Configuration, place: Place, describing: Describing, s
 def _copy(source: Path, path: Path) -> str:
     """Copy what a learner needs that goes on from the oldest checkpoint; gives its name."""
     folder = source / _JOURNAL
-    for each in checkpoint.all_of(source / _CHECKPOINTS):
-        try:
-            _, state = checkpoint.read(each)
-        except checkpoint.DamagedError:
-            continue
-        if state["journal"] is not None and journal.has(folder, saver.place(state)):
-            break
-    else:
+    goes_on = (
+        (each, state)
+        for each, state in _whole(source / _CHECKPOINTS)
+        if state["journal"] is not None and journal.has(folder, saver.place(state))
+    )
+    each, state = next(goes_on, (None, {}))
+    if each is None:
         raise UsageError(
             f"--replay-journal: {source} has no checkpoint whose journal is there; name another run"
         )
@@ -120,14 +120,17 @@ def _copy(source: Path, path: Path) -> str:
     return each.name
 
 
+def _whole(folder: Path) -> Iterator[tuple[Path, checkpoint.State]]:
+    """The checkpoints that are as they were written, with their states, the oldest first."""
+    for each in checkpoint.all_of(folder):
+        with suppress(checkpoint.DamagedError):
+            yield each, checkpoint.read(each)[1]
+
+
 def _tensors(path: Path) -> dict[str, str]:
     """The checksums of the tensors of the whole checkpoints, by their names."""
     found = {}
-    for each in checkpoint.all_of(path / _CHECKPOINTS):
-        try:
-            checkpoint.read(each)
-        except checkpoint.DamagedError:
-            continue
+    for each, _ in _whole(path / _CHECKPOINTS):
         lines = (each / "SHA256SUMS").read_text().splitlines()
         found[each.name] = next(line for line in lines if line.endswith(_TENSORS))
     return found
