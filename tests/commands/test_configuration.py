@@ -55,6 +55,28 @@ def test_suggestions_are_those_among_which_q_picks_in_either_variant() -> None:
     assert "\nact_suggestions = 3  # set by you" in off
 
 
+@pytest.mark.parametrize("variant", ["on-policy", "off-policy"])
+def test_a_shorthand_is_an_option_or_a_variable_as_it_was_given(
+    variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "suggestions" if variant == "on-policy" else "act_suggestions"
+    options = ["--variant", variant, "--set", f"{name}=3"]
+    monkeypatch.setenv("A2S_SUGGESTIONS", "4")
+    assert f"\n{name} = 4  # set by you" in _print_config("--variant", variant)
+    assert f"\n{name} = 3  # set by you" in _print_config(*options)
+    assert f"\n{name} = 5  # set by you" in _print_config(*options, "--suggestions", "5")
+    monkeypatch.setenv("A2S_SET", f"{name}=6")
+    assert f"\n{name} = 5  # set by you" in _print_config("--variant", variant, "--suggestions=5")
+
+
+def test_recovery_given_as_an_option_beats_a_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("A2S_SET", "recovery=authors")
+    assert '\nrecovery = "authors"' in _print_config()
+    assert '\nrecovery = "off"' in _print_config("--no-recovery")
+    monkeypatch.setenv("A2S_RECOVERY", "1")
+    assert '\nrecovery = "off"' in _print_config("--set", "recovery=off")
+
+
 @pytest.mark.parametrize(
     ("arguments", "rule"),
     [

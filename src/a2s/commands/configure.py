@@ -1,7 +1,7 @@
 """From options to a configuration: the one path for ``learner`` and ``train``."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -26,13 +26,14 @@ def configure(
     *,
     resume: bool,
     defaults: Mapping[str, Any] = MappingProxyType({}),
+    yielding: Collection[str] = (),
 ) -> tuple[Configuration, Path]:
     """Combine file and options, and choose the directory of the run.
 
     ``options`` are ``None`` where not given; ``lockstep`` stands for the clock, ``suggestions`` and
     ``recovery`` for hyperparameters. ``settings`` are hyperparameters, ``KEY=VALUE``. A resumed run
     has its own configuration file. ``defaults`` are the command's, where they differ from those of
-    a run.
+    a run. Shorthands that are ``yielding`` give way to ``settings``, the others do not.
 
     Raises:
         UsageError: Something is unknown, impossible or in use.
@@ -46,7 +47,11 @@ def configure(
     run_table, hyper_table = configuration.read(config) if config is not None else ({}, {})
     variant = given.get("variant", run_table.get("variant", "on-policy"))
     preset = str(given.get("preset", run_table.get("preset", "modern")))
-    _move_shorthands(given, hyper, variant, preset)
+    hyper |= {
+        name: value
+        for name, (shorthand, value) in _take_shorthands(given, variant, preset).items()
+        if not (name in hyper and shorthand in yielding)
+    }
     # A complete file states every value; another preset or algorithm means its own values.
     if any(
         run_table.get(name, given[name]) != given[name]
@@ -134,14 +139,16 @@ def environment_of(options: Mapping[str, Any], known: EnvConfig | None = None) -
         raise UsageError(str(error)) from None
 
 
-def _move_shorthands(
-    given: dict[str, Any], hyper: dict[str, object], variant: str, preset: str
-) -> None:
-    """Move the shorthand options to the hyperparameters that they stand for."""
+def _take_shorthands(
+    given: dict[str, Any], variant: str, preset: str
+) -> dict[str, tuple[str, object]]:
+    """Take shorthands out: by the hyperparameter that each stands for, its name and value."""
+    found: dict[str, tuple[str, object]] = {}
     if "suggestions" in given:
         name = "act_suggestions" if variant == "off-policy" else "suggestions"
-        hyper[name] = given.pop("suggestions")
+        found[name] = "suggestions", given.pop("suggestions")
     if "recovery" in given:
         if variant == "off-policy":
             raise UsageError("--recovery: only on-policy learning has recoveries; leave it out")
-        hyper.setdefault("recovery", recovery_of(preset, on=given.pop("recovery")))
+        found["recovery"] = "recovery", recovery_of(preset, on=given.pop("recovery"))
+    return found

@@ -191,6 +191,8 @@ def _configure(
     from a2s.learner.run.choice import made
 
     settings, resume = context.params["settings"], context.params["resume"]
+    typed, variables = options.given(context, ("settings", *RUN))
+    more["yielding"] = variables if "settings" in typed else ()
     configuration, path = configure(given, settings, config, run_dir, resume=resume, **more)
     if given["init_from"]:
         from a2s.learner.initial import configuration_of
