@@ -15,7 +15,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
 from a2s.learner.page.history import EVERY_S, History
-from a2s.protocol.serving import not_served
+from a2s.protocol.serving import family_of, not_served
 
 _STATIC = files("a2s.learner.page") / "static"
 _PAGE = "index.html"
@@ -58,7 +58,11 @@ class Server:
 
         try:
             host.encode("idna")  # else bind may raise anything
-            self._server = make_server(host, port, self._answer, ThreadingWSGIServer, Handler)
+
+            class Listening(ThreadingWSGIServer):
+                address_family = family_of(host, port)
+
+            self._server = make_server(host, port, self._answer, Listening, Handler)
         except (OSError, UnicodeError) as error:
             raise not_served(host, port, option, error) from None
         self.port = int(self._server.server_port)
@@ -149,10 +153,7 @@ def _send(start: StartResponse, kind: str, body: bytes) -> list[bytes]:
             ("Content-Type", f"{kind}; charset=utf-8" if text else kind),
             ("Content-Length", str(len(body))),
             ("Cache-Control", "no-store"),
-            (
-                "Content-Security-Policy",
-                "default-src 'self'; img-src data:; style-src 'self' 'unsafe-inline'",
-            ),
+            ("Content-Security-Policy", _POLICY),
         ],
     )
     return [body]

@@ -21,6 +21,7 @@ from a2s.protocol.endpoint import check_endpoint
 from a2s.protocol.errors import UsageError
 from a2s.protocol.identity import Security
 from a2s.protocol.keys import Keys
+from a2s.protocol.serving import url_of
 
 
 def act(
@@ -77,7 +78,7 @@ def act(
         bound = serve_on(
             metrics_port, ACTOR_METRICS_PORT, lambda port: serve(fleet, metrics_host, port)
         )
-        url = f"http://{metrics_host}:{bound}/metrics"
+        url = url_of(metrics_host, bound, "/metrics")
     role = f"{'process' if n == 1 else 'processes'} "
     role += f"that evaluate{'s' if n == 1 else ''} run" if evaluates else "for run"
     typer.echo(f"a2s actor: {n} {role} {run}")

@@ -19,6 +19,7 @@ from a2s.commands.process import LEARNER_METRICS_PORT, Stop, serve_on
 from a2s.learner.page.history import History
 from a2s.learner.page.server import Sampler, Server
 from a2s.protocol.errors import UsageError
+from a2s.protocol.serving import url_of
 
 PORT = 9466
 _TIMEOUT_S = 1.5  # without a byte
@@ -43,7 +44,7 @@ def show(targets: Sequence[str], host: str, port: int | None, stop: Stop) -> Non
             stack.enter_context(closing(Sampler(partial(scrape, history, url))))
         server = serve_on(port, PORT, lambda number: Server(histories, host, number, "--port"))
         stack.enter_context(closing(server))
-        typer.echo(f"a2s dashboard: http://{host}:{server.port}/")
+        typer.echo(f"a2s dashboard: {url_of(host, server.port, '/')}")
         for url in addresses:
             typer.echo(f"  of          {url}")
         stop.wait()

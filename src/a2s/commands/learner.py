@@ -46,6 +46,7 @@ from a2s.protocol.errors import A2SError, UsageError
 from a2s.protocol.generations import MARK_BITS
 from a2s.protocol.identity import Security, is_local
 from a2s.protocol.keys import DEFAULT_ENDPOINT, Keys
+from a2s.protocol.serving import url_of
 from a2s.protocol.zenoh_bus import ZenohBus
 
 logger = logging.getLogger(__name__)
@@ -96,7 +97,7 @@ class Place:
                     LEARNER_METRICS_PORT,
                     lambda number: stack.enter_context(metrics.served(host, number)),
                 )
-                url = f"http://{host}:{port}/metrics"
+                url = url_of(host, port, "/metrics")
             stack.enter_context(run_directory.claimed(self.path))
             processes = stack.enter_context(joined())
             if processes is not None and (run.variant != "off-policy" or run.device != "cpu"):

@@ -12,6 +12,7 @@ from prometheus_client import CollectorRegistry, Gauge
 from a2s.learner.page.history import History
 from a2s.learner.page.server import Sampler, Server
 from a2s.protocol.errors import UsageError
+from a2s.protocol.serving import url_of
 
 WEIGHT_LIMIT = 150_000
 
@@ -78,6 +79,14 @@ def test_a_host_that_is_not_here_is_named_with_its_option(host: str) -> None:
     """192.0.2.1 is of documentation, and nobody's."""
     with pytest.raises(UsageError, match=rf"^--metrics-host: found '{host}', expected an address"):
         Server([], host, 0, "--metrics-port")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_it_is_served_where_its_address_says(host: str) -> None:
+    server = Server([], host, 0, "--port")
+    with urllib.request.urlopen(url_of(host, server.port, "/"), timeout=10) as reply:
+        assert b"<title>" in reply.read()
+    server.close()
 
 
 def test_who_says_nothing_is_cut_off_and_who_asks_is_answered(
