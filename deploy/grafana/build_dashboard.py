@@ -346,7 +346,7 @@ ROWS: dict[str, list[Panel]] = {
         ),
         Panel(
             "Age of the checkpoint",
-            "What is lost when the learner is killed now.",
+            "What is learned again if the learner is killed now; nothing acknowledged is lost.",
             "s",
             {"{{run}}": "time() - a2s_learner_checkpoint_timestamp_seconds{}"},
         ),
