@@ -223,7 +223,7 @@ ROWS: dict[str, list[Panel]] = {
     "Wire": [
         Panel(
             "Time from send to answer",
-            "Of one segment, retries included: link, queue of the learner, disk.",
+            "Of one segment: link, queue of the learner, disk. One that is sent again begins anew.",
             "s",
             _quantiles("a2s_actor_send_seconds", 0.5, 0.99),
         ),
