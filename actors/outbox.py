@@ -156,6 +156,8 @@ class Outbox:
                 if begun == self._times_begun_again:
                     self._asked.append(_Asked(answer, begin_s))
                     self._changed.notify_all()
+                else:
+                    self._metrics.retries.inc()
 
     def _may_ask(self) -> bool:
         at_most = 1 if self._held_back or self._one_by_one else self.window
@@ -175,27 +177,29 @@ class Outbox:
                 asked = self._asked[0]
             ack = _decoded(asked.answer())
             if ack is None or ack.verdict == "unknown":
-                self._begin_again(back_off_s * self._random.uniform(0.5, 1.0))
+                under_way = self._begin_again(back_off_s * self._random.uniform(0.5, 1.0))
                 if ack is not None:
                     self._on_unknown()
                 if self._draining:
                     self._end()
                     return
-                self._metrics.retries.inc()
+                self._metrics.retries.inc(under_way)
                 back_off_s = min(back_off_s * 2, longest_s)
             else:
                 back_off_s = _BACK_OFF_S[0]
                 self._forget(asked, ack)
                 self._on_ack(ack)
 
-    def _begin_again(self, after_s: float) -> None:
-        """Nothing is under way any more; first of all comes the oldest."""
+    def _begin_again(self, after_s: float) -> int:
+        """Nothing is under way any more; first of all comes the oldest. Gives how many were."""
         with self._changed:
+            under_way = len(self._asked)
             self._asked.clear()
             self._times_begun_again += 1
             self._one_by_one = True
             self._hold_until_s = perf_counter() + after_s
             self._changed.notify_all()
+        return under_way
 
     def _forget(self, asked: _Asked, ack: Ack) -> None:
         """The oldest is answered; how long to wait, only the last answer knows."""
