@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from http.client import HTTPException
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from prometheus_client import CollectorRegistry, Gauge
@@ -92,6 +93,40 @@ def test_a_peer_that_speaks_otherwise_is_down_and_no_more(said: bytes) -> None:
         recall(history, url)
         scrape(history, url)
         thread.join()
+    assert not history.is_up
+    assert history.since(0.0) == {"t": [], "series": {}}
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        'a2s_learner_kl{a="b", ="c"} 1\n',
+        '{"now": 1.0, "runs": [{"t": [1.0], "series": {"a2s_learner_kl": ["high"]}}]}',
+        "[" * 100_000,
+    ],
+)
+def test_a_peer_that_serves_something_else_is_down_and_no_more(body: str) -> None:
+    history = History()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(body.encode())
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        url = address(f"127.0.0.1:{server.server_port}")
+        try:
+            recall(history, url)
+            scrape(history, url)
+        finally:
+            server.shutdown()
+            thread.join()
     assert not history.is_up
     assert history.since(0.0) == {"t": [], "series": {}}
 

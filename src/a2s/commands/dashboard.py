@@ -25,6 +25,8 @@ PORT = 9466
 _TIMEOUT_S = 1.5  # without a byte
 _TOTAL_S = 5.0
 _SCHEMES = ("http", "https")
+# What comes of the words of something else than a learner.
+_STRANGE = (HTTPException, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 
 
 def show(targets: Sequence[str], host: str, port: int | None, stop: Stop) -> None:
@@ -120,7 +122,7 @@ def scrape(history: History, url: str) -> None:
     """Take what the learner says now; nothing where it does not answer."""
     try:
         history.take(time.time(), text_string_to_metric_families(fetch(url).decode()))
-    except (OSError, HTTPException, ValueError):  # the last two: something else answers there
+    except (OSError, *_STRANGE):
         history.is_up = False
 
 
@@ -134,8 +136,8 @@ def recall(history: History, url: str) -> None:
         past = []
         for now_s, *values in zip(run["t"], *run["series"].values(), strict=True):
             found = zip(names, values, strict=True)
-            past.append((now_s - ahead_s, {n: v for n, v in found if v is not None}))
-    except (OSError, HTTPException, ValueError, KeyError, TypeError, AttributeError):
+            past.append((now_s - ahead_s, {n: float(v) for n, v in found if v is not None}))
+    except (OSError, *_STRANGE):
         return  # it has none: the history begins now
     for then_s, samples in past:
         history.add(then_s, samples)
