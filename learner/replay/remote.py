@@ -19,6 +19,7 @@ from a2s.protocol.transport import Bus
 
 _TIMEOUT_S = 10.0
 _PATIENCE_S = 60.0
+_LONGEST_REST_S = _TIMEOUT_S / 2  # the peer that is next waits no longer than the timeout
 _RETRY_S = 0.5
 _MAX_WAITING = 32
 
@@ -28,9 +29,10 @@ M = TypeVar("M", bound=Message)
 class ServedReplay:
     """Answers requests for transitions, one at a time, in a bounded share of the time.
 
-    After each answer it rests, so that under any load the learner keeps the rest of a core;
-    requests wait for their turn, or are refused for now if many do. ``share`` is the part of the
-    time for answers, above 0 and up to 1; ``clock`` gives seconds and ``rest`` waits for seconds.
+    After each answer it rests, for 5 s at most, so that under any load the learner keeps the rest
+    of a core; requests wait for their turn, or are refused for now if many do. ``share`` is the
+    part of the time for answers, above 0 and up to 1; ``clock`` gives seconds and ``rest`` waits
+    for seconds.
     """
 
     def __init__(
@@ -90,7 +92,8 @@ class ServedReplay:
                 return encode(Refusal(reason=str(error)))
             finally:
                 end_s = self._clock()
-                self._free_s = end_s + self._rest_per_answer * (end_s - begin_s)
+                rest_s = self._rest_per_answer * (end_s - begin_s)
+                self._free_s = end_s + min(_LONGEST_REST_S, rest_s)
 
     def _sample(self, request: ReplayRequest) -> bytes:
         batch = self._replay.sample(

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
+from functools import partial
 
 import numpy as np
 import pytest
@@ -178,6 +179,19 @@ def test_answers_take_their_share_of_the_time_and_no_more(replay: Replay) -> Non
     now_s[0] += 100.0
     remote.ask(REQUEST)
     assert rested == [2.0, 2.0, 2.0]
+
+
+def test_an_answer_that_took_long_does_not_cost_the_next_peer_its_answer(replay: Replay) -> None:
+    """Such as the first draw by priorities, which compiles; a peer waits for 10 s."""
+    exchange, rested = Exchange(), list[float]()
+    times_s = iter([0.0, 0.0, 60.0, 60.0, 65.0, 65.0])
+    bus = InProcessBus(exchange)
+    clock = partial(next, times_s)
+    ServedReplay(bus, KEYS, replay, 1, share=0.25, clock=clock, rest=rested.append).open()
+    remote = RemoteReplay(InProcessBus(exchange), KEYS)
+    remote.ask(REQUEST)
+    remote.ask(REQUEST)
+    assert rested == [5.0]
 
 
 def test_many_clients_sample_while_the_learner_inserts_and_samples(
