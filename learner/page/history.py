@@ -12,6 +12,7 @@ EVERY_S = 2.0
 _CAPACITY = 3600  # two hours
 _MOST_AT_ONCE = 720  # what a page is given at first: five points a minute
 _PREFIX, _CREATED, _INFO = "a2s_", "_created", "a2s_run_info"
+_TIME = "_timestamp_seconds"
 _SHOWN = ("gauge", "counter")
 
 
@@ -33,9 +34,13 @@ class History:
         self._times = np.full(capacity, np.nan)
         self._series: dict[str, np.ndarray[Any, np.dtype[np.float64]]] = {}
 
-    def take(self, now_s: float, families: Iterable[Metric]) -> None:
-        """Take the present values of gauges and counters, at ``now_s`` seconds since 1970."""
+    def take(self, now_s: float, families: Iterable[Metric], ahead_s: float = 0.0) -> None:
+        """Take the present values of gauges and counters, at ``now_s`` seconds since 1970.
+
+        Those that are times are of a clock that is ``ahead_s`` seconds ahead of this one.
+        """
         found, about = _flat(families)
+        found |= {name: value - ahead_s for name, value in found.items() if _TIME in name}
         self.add(now_s, found)
         self.about, self.is_up = about or self.about, True
 

@@ -2,8 +2,10 @@
 
 import socket
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from email.utils import formatdate
 from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -97,6 +99,33 @@ def test_a_peer_that_speaks_otherwise_is_down_and_no_more(said: bytes) -> None:
     assert history.since(0.0) == {"t": [], "series": {}}
 
 
+@contextmanager
+def _serving(body: str, behind_s: float = 0.0) -> Iterator[str]:
+    """Serve this, by a clock that is behind."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(body.encode())
+
+        def date_time_string(self, timestamp: float | None = None) -> str:
+            del timestamp
+            return formatdate(time.time() - behind_s, usegmt=True)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield address(f"127.0.0.1:{server.server_port}")
+        finally:
+            server.shutdown()
+            thread.join()
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -107,28 +136,21 @@ def test_a_peer_that_speaks_otherwise_is_down_and_no_more(said: bytes) -> None:
 )
 def test_a_peer_that_serves_something_else_is_down_and_no_more(body: str) -> None:
     history = History()
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(body.encode())
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with HTTPServer(("127.0.0.1", 0), Handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        url = address(f"127.0.0.1:{server.server_port}")
-        try:
-            recall(history, url)
-            scrape(history, url)
-        finally:
-            server.shutdown()
-            thread.join()
+    with _serving(body) as url:
+        recall(history, url)
+        scrape(history, url)
     assert not history.is_up
     assert history.since(0.0) == {"t": [], "series": {}}
+
+
+def test_when_an_actor_was_heard_is_told_by_the_clock_of_this_machine() -> None:
+    """Else the actors of a learner whose clock is behind would seem to be silent."""
+    history, behind_s, name = History(), 3600.0, "a2s_learner_actor_heard_timestamp_seconds"
+    text = f"# TYPE {name} gauge\n{name} {time.time() - behind_s}\n"
+    with _serving(text, behind_s) as url:
+        scrape(history, url)
+    told = history.since(0.0)
+    assert told["series"][name] == pytest.approx(told["t"], abs=30.0)
 
 
 @pytest.mark.parametrize("said", [b"HTTP/1.1 200 OK\r\nX: ", b"HTTP/1.1 200 OK\r\n\r\n"])

@@ -6,6 +6,7 @@ import time
 import urllib.request
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, suppress
+from email.utils import parsedate_to_datetime
 from functools import partial
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from threading import Timer
@@ -71,8 +72,8 @@ def address(target: str) -> str:
     return urlunsplit(parts._replace(path=parts.path if len(parts.path) > 1 else "/metrics"))
 
 
-def fetch(url: str, total_s: float = _TOTAL_S) -> bytes:
-    """Fetch what is there, within this time in all.
+def fetch(url: str, total_s: float = _TOTAL_S) -> tuple[bytes, float]:
+    """Fetch what is there, within this time in all; and by how many seconds its clock is ahead.
 
     Raises:
         OSError: Nobody answers, or with an error.
@@ -80,7 +81,9 @@ def fetch(url: str, total_s: float = _TOTAL_S) -> bytes:
     """
     opener = urllib.request.build_opener(_Hurried(total_s))
     with opener.open(url, timeout=_TIMEOUT_S) as reply:
-        return bytes(reply.read())
+        said = reply.headers["Date"]
+        ahead_s = parsedate_to_datetime(said).timestamp() - time.time() if said else 0.0
+        return bytes(reply.read()), ahead_s
 
 
 class _Watched(HTTPConnection):
@@ -121,7 +124,8 @@ def _cut(connection: socket.socket) -> None:
 def scrape(history: History, url: str) -> None:
     """Take what the learner says now; nothing where it does not answer."""
     try:
-        history.take(time.time(), text_string_to_metric_families(fetch(url).decode()))
+        text, ahead_s = fetch(url)
+        history.take(time.time(), text_string_to_metric_families(text.decode()), ahead_s)
     except (OSError, *_STRANGE):
         history.is_up = False
 
@@ -130,7 +134,7 @@ def recall(history: History, url: str) -> None:
     """Take over what the learner's own page remembers, if it has one."""
     data = url.removesuffix("metrics") + "data"
     try:
-        told = json.loads(fetch(data))
+        told = json.loads(fetch(data)[0])
         (run,), ahead_s = told["runs"], told["now"] - time.time()  # its clock is another
         names = list(run["series"])
         past = []
