@@ -96,7 +96,7 @@ class Actor:
             if self._welcome is not None:
                 self._play(self._welcome)
         finally:
-            left = self._outbox.close(_DRAIN_S if self._stopped.is_set() else 0.0)
+            left = self._outbox.close(_DRAIN_S)
             self._ended.set()
             heartbeat.join()
             self._publish_status(leaving=True)

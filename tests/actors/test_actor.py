@@ -14,11 +14,11 @@ import pytest
 from a2s.actors import actor as actor_module
 from a2s.actors.activity import Activity
 from a2s.actors.actor import Actor
-from a2s.actors.metrics import ActorMetrics
+from a2s.actors.metrics import ActorMetrics, total
 from a2s.actors.task import Task
 from a2s.protocol.codec import decode, encode
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import A2SError
+from a2s.protocol.errors import A2SError, FaultyEnvironmentError
 from a2s.protocol.fields import Spaces
 from a2s.protocol.in_process import Exchange, InProcessBus
 from a2s.protocol.keys import Keys
@@ -181,6 +181,40 @@ def test_who_is_to_make_another_environment_begins_anew(
     actor = Actor(TASK, InProcessBus(exchange), ActorMetrics(), parent, lambda _: None)
     with pytest.raises(A2SError, match="Count-v0: found another way to make it or another offset"):
         actor.run()
+
+
+class _AnswersLate(_Learner):
+    """Answers no segment before the environment, which fails in its third step, has failed."""
+
+    def __init__(self, exchange: Exchange, graph: bytes) -> None:
+        self.has_failed = threading.Event()
+        super().__init__(exchange, graph)
+
+    def _notice(self, epoch: int) -> Notice:
+        return replace(super()._notice(epoch), quota_steps=2)
+
+    def _welcome(self, payload: bytes) -> bytes:
+        welcome = decode(super()._welcome(payload), Welcome)
+        return encode(replace(welcome, env_id="a2s_test_envs:Crash-v0"))
+
+    def _take(self, payload: bytes) -> bytes:
+        self.has_failed.wait()
+        return super()._take(payload)
+
+
+def test_what_was_played_before_a_failure_is_sent_until_it_is_answered(
+    make_graph: Callable[..., bytes],
+) -> None:
+    """Otherwise it would be chance whether a process that failed has worked."""
+    exchange, metrics = Exchange(), ActorMetrics()
+    learner = _AnswersLate(exchange, make_graph())
+    parent: Any = SimpleNamespace(
+        stopped=threading.Event(), activity=Activity(), report=lambda _: None
+    )
+    actor = Actor(TASK, InProcessBus(exchange), metrics, parent, lambda _: learner.has_failed.set())
+    with pytest.raises(FaultyEnvironmentError, match="the simulator is broken"):
+        actor.run()
+    assert total(metrics.acks.labels("accepted")) == 1
 
 
 @contextmanager
