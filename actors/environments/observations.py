@@ -11,7 +11,7 @@ from gymnasium import spaces
 from a2s.actors.environments.faults import Faults
 from a2s.protocol.fields import Array
 
-_FLOAT32 = np.dtype(np.float32)
+_FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
 _Float64s = npt.NDArray[np.float64]
 
 # The caller reports numbers too large for float32, and names the environment.
@@ -67,9 +67,8 @@ class Observations:
         if self._is_direct:
             if type(obs) is np.ndarray:
                 return obs.astype(_FLOAT32)
-            if isinstance(obs, np.ma.MaskedArray):
-                obs = np.ma.filled(obs.astype(_FLOAT32), np.nan)
-            return np.array(obs, _FLOAT32)
+            found: Array = _unmasked(obs, _FLOAT32)
+            return found
         frame = _numbers(self._space, obs)
         if frame.size != self._size:
             raise ValueError
@@ -97,7 +96,15 @@ def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:
     if not isinstance(space, spaces.Box):
         _require_within(space, value)
         value = spaces.flatten(space, value)
-    return np.array(value, dtype=np.float64).reshape(-1)
+    numbers: _Float64s = _unmasked(value, _FLOAT64).reshape(-1)
+    return numbers
+
+
+def _unmasked(value: Any, dtype: "np.dtype[Any]") -> npt.NDArray[Any]:
+    """Copy numbers; one under a mask is none."""
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.ma.filled(value.astype(dtype), np.nan)
+    return np.array(value, dtype)
 
 
 def _require_within(space: "spaces.Space[Any]", value: Any) -> None:

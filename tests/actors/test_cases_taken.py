@@ -135,8 +135,10 @@ def test_a_class_that_there_is_none_of_is_no_other_class(space: str) -> None:
         environment.step(action(0.25))
 
 
-def test_a_number_under_a_mask_is_none() -> None:
-    environment = Environment(EnvConfig(env_id="a2s_case_numbers:NoClassMasked-v0"))
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_number_under_a_mask_is_none(frames: int) -> None:
+    config = EnvConfig(env_id="a2s_case_numbers:NoClassMasked-v0", frame_stack=frames)
+    environment = Environment(config)
     environment.reset(seed=1)
     steps = [environment.step(action(0.25))[0] for _ in range(2)]
     assert [bool(np.isnan(obs).any()) for obs in steps] == [False, True]
