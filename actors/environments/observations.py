@@ -9,7 +9,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from a2s.actors.environments.faults import Faults
-from a2s.protocol.fields import Array
+from a2s.protocol.fields import Array, is_within
+from a2s.protocol.messages import MAX_PLAYED
 
 _FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
 _Float64s = npt.NDArray[np.float64]
@@ -21,8 +22,9 @@ warnings.filterwarnings("ignore", "overflow encountered in cast", RuntimeWarning
 class Observations:
     """Reads the observations of one environment, in any shape, dtype or kind of sequence.
 
-    Each has ``size`` numbers; the latest ``frame_stack`` are given at once, the newest last.
-    ``env`` has all wrappers; ``offset``, float32 ``[frame_stack * size]``, is subtracted.
+    Each has ``size`` numbers; the latest ``frame_stack`` are given at once, the newest last. One
+    that cannot be used is in no later stack of its episode. ``env`` has all wrappers; ``offset``,
+    float32 ``[frame_stack * size]``, is subtracted.
     """
 
     def __init__(
@@ -74,7 +76,8 @@ class Observations:
             raise ValueError
         frames = [frame] * self._stack if call == "reset" else [*self._frames[1:], frame]
         result: Array = (np.concatenate(frames) - self._offset).astype(_FLOAT32)
-        self._frames = frames
+        if call == "reset" or is_within(result, MAX_PLAYED):  # who goes on, goes on without it
+            self._frames = frames
         return result
 
     def _quietly(self, call: str, obs: Any) -> Array:

@@ -29,15 +29,16 @@ class BadBeginning(Control):
         return (obs * np.nan if self.begun % 2 else obs), info
 
 
-def _play(make_graph: MakeGraph, env: str, **sizes: Any) -> Evaluation:
+def _play(make_graph: MakeGraph, env: str, frames: int = 1, **sizes: Any) -> Evaluation:
     """Two episodes by the mean action, one after the other."""
     suggester = Suggester(make_graph(**sizes), "mean")
-    found = play(suggester, [Environment(EnvConfig(env_id=env))], 2, 0)
+    config = EnvConfig(env_id=env, frame_stack=frames)
+    found = play(suggester, [Environment(config)], 2, 0)
     assert found is not None
     return found
 
 
-CONTROL = {"obs_size": 3, "low": (-1.0,), "high": (1.0,)}
+CONTROL: dict[str, Any] = {"obs_size": 3, "low": (-1.0,), "high": (1.0,)}
 
 
 def test_steps_that_cannot_be_used_are_counted_and_said(
@@ -47,6 +48,13 @@ def test_steps_that_cannot_be_used_are_counted_and_said(
     found = _play(make_graph, "a2s_test_envs:NanReward-v0")
     assert (found.returns, found.unusable_steps) == ([12.0, 12.0], 2)
     assert "2 steps had numbers that are not finite or too large (reward is nan)" in caplog.text
+
+
+def test_an_observation_that_cannot_be_used_is_in_no_later_stack(make_graph: MakeGraph) -> None:
+    """Steps 97 and 194 of 200; one alone would count as ten in a row in a stack of ten."""
+    sizes = {**CONTROL, "obs_size": 30}
+    found = _play(make_graph, "a2s_case_numbers:Broken-v0", frames=10, **sizes)
+    assert (found.lengths, found.unusable_steps) == ([100, 100], 2)
 
 
 def test_an_observation_after_the_end_is_not_looked_at(make_graph: MakeGraph) -> None:
