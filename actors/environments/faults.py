@@ -17,8 +17,8 @@ from gymnasium.envs.registration import load_env_creator
 from a2s.protocol.errors import FaultyEnvironmentError, said_by
 
 _OURS = str(Path(__file__).resolve().parents[1])
-_GYMNASIUM = str(Path(gymnasium.__file__).parent)
-_STDLIB = sysconfig.get_paths()["stdlib"]
+_GYMNASIUM = str(Path(gymnasium.__file__).resolve().parent)
+_STDLIB = str(Path(sysconfig.get_paths()["stdlib"]).resolve())
 _SITE = ("site-packages", "dist-packages")
 _GYMNASIUM_ADDS = " was raised from the environment creator"
 _STEP = "5 (obs, reward, terminated, truncated, info)"

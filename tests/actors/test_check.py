@@ -1,5 +1,10 @@
 """A trial refuses an environment of which nothing can be learned, as training does."""
 
+import os
+import re
+from pathlib import Path
+
+import gymnasium
 import pytest
 
 from a2s.actors.check import check
@@ -33,3 +38,16 @@ def test_one_whose_steps_can_be_used_in_part_is_taken(name: str, first: str, unu
     """An episode is cut before a step that cannot, as training does."""
     found = check(EnvConfig(env_id=name), lambda _: None)
     assert (found["first_unusable"], found["unusable_steps"]) == (first, unusable)
+
+
+def test_a_mistake_is_in_the_users_file_where_packages_are_reached_by_a_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the home directory is one."""
+    link = tmp_path / "packages"
+    link.symlink_to(Path(gymnasium.__file__).resolve().parents[1])
+    monkeypatch.setenv("PYTHONPATH", str(link), prepend=os.pathsep)
+    with pytest.raises(FaultyEnvironmentError) as caught:
+        check(EnvConfig(env_id="a2s_case_mistakes:FourValues-v0"), lambda _: None)
+    said = r".*: step returned 4 values, expected 5 .* \(\S*a2s_case_envs\.py:\d+\)"
+    assert re.fullmatch(said, str(caught.value))
