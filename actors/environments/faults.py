@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
-from a2s.protocol.errors import FaultyEnvironmentError, said_by
+from a2s.protocol.errors import FaultyEnvironmentError, one_line, said_by
 
 _OURS = str(Path(__file__).resolve().parents[1])
 _GYMNASIUM = str(Path(gymnasium.__file__).resolve().parent)
@@ -119,7 +119,7 @@ class Faults:
 
     def _fault(self, what: str, place: str, *, by_mistake: bool = True) -> FaultyEnvironmentError:
         where = f" ({place})" if place else ""
-        line = f"environment {self._env_id}: {what}{where}"
+        line = f"environment {self._env_id}: {one_line(what)}{where}"
         return FaultyEnvironmentError(line, by_mistake=by_mistake)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.spaces.utils import flatdim
 
-from a2s.protocol.errors import UsageError
+from a2s.protocol.errors import UsageError, one_line
 from a2s.protocol.fields import Array, Spaces
 
 _MAX_OBS = 1_000_000
@@ -73,9 +73,9 @@ def _parts(
         )
     if not isinstance(space, _PARTS):
         raise UsageError(
-            f"environment {env_id}: found {called} in {space}; supported are Box, Discrete, "
-            "MultiBinary and MultiDiscrete, also in Dict and Tuple: let a --wrapper module:Class "
-            "make one of these of it"
+            f"environment {env_id}: found {called} in {one_line(str(space))}; supported are Box, "
+            "Discrete, MultiBinary and MultiDiscrete, also in Dict and Tuple: let a --wrapper "
+            "module:Class make one of these of it"
         )
     return [(name, space)]
 
@@ -86,7 +86,8 @@ def _bounds(env_id: str, env: Env) -> tuple[Array, Array]:
     if not isinstance(space, spaces.Box):
         instead = _instead(env_id, env)
         raise UsageError(
-            f"environment {env_id}: found actions {space}; supported is Box: {instead}"
+            f"environment {env_id}: found actions {one_line(str(space))}; supported is "
+            f"Box: {instead}"
         )
     low, high = bounds_of(space)
     for index, (a, b) in enumerate(zip(space.low.ravel(), space.high.ravel(), strict=True)):

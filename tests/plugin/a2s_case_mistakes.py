@@ -37,6 +37,13 @@ class NeedsPath(Control):
         self._path = path
 
 
+class Words:
+    """Looks like a table: its repr has two lines."""
+
+    def __repr__(self) -> str:
+        return "Words(\n a, b)"
+
+
 def _raise(error: BaseException) -> None:
     raise error
 
@@ -75,6 +82,10 @@ STEPS: dict[str, tuple[Change, str]] = {
     "VectorReward": (
         lambda s: (s[0], np.array([s[1], s[1]]), *s[2:]),
         r"step returned a reward of shape \(2,\), expected a number",
+    ),
+    "ReprOfTwoLines": (
+        lambda s: (s[0], Words(), *s[2:]),
+        r"step returned a reward of Words\( a,.*expected a number",
     ),
     "NoReward": (lambda s: (s[0], None, *s[2:]), r"step returned .*None.*expected a number"),
     "WordReward": (lambda s: (s[0], "good", *s[2:]), r"step returned .*good.*expected a number"),

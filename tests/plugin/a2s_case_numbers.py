@@ -298,6 +298,7 @@ def _box(low: list[float], high: list[float], dtype: type[np.floating[Any]] = np
     return spaces.Box(np.array(low, dtype=dtype), np.array(high, dtype=dtype), dtype=dtype)
 
 
+_MANY = np.arange(1.0, 31.0, dtype=np.float32)
 UNSUPPORTED: dict[str, tuple[dict[str, Any], str]] = {
     "Widest": ({"act": _box([-FLOAT_MAX], [FLOAT_MAX])}, r"action 0 has bounds -3\.40282e\+38 to"),
     "WidestSecond": (
@@ -312,6 +313,7 @@ UNSUPPORTED: dict[str, tuple[dict[str, Any], str]] = {
         {"act": _box([-1.0, -np.inf], [1.0, np.inf])}, r"action 1 has bounds -inf to inf",
     ),
     "Buttons": ({"act": spaces.Discrete(4)}, r"Discrete\(4\)"),
+    "ManyButtons": ({"act": spaces.MultiDiscrete([3] * 60)}, r"MultiDiscrete\("),
     "Switches": ({"act": spaces.MultiBinary(4)}, r"MultiBinary\(4\)"),
     "Image": ({"obs": spaces.Box(0, 255, (84, 84, 3), np.uint8)}, r"\(84, 84, 3\)"),
     "ImageInDict": (
@@ -319,6 +321,7 @@ UNSUPPORTED: dict[str, tuple[dict[str, Any], str]] = {
         r"\(64, 64, 3\)",
     ),
     "Words": ({"obs": spaces.Text(9)}, r"Text"),
+    "Several": ({"obs": spaces.Sequence(spaces.Box(-_MANY, _MANY))}, r"Sequence"),
 }  # fmt: skip
 BROKEN: dict[str, dict[str, Any]] = {
     "Broken": {},
