@@ -1,5 +1,6 @@
 """A trial of an environment in its own process: its spaces, its behaviour, its speed."""
 
+import contextlib
 import functools
 import re
 import warnings
@@ -146,21 +147,22 @@ def _noted(activity: Activity, call: int, function: Callable[..., Any]) -> Calla
 
 def _remarks(config: EnvConfig, activity: Activity) -> list[str]:
     """Return the remarks of Gymnasium's own checker."""
-    try:
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
+    found = list[str]()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
             env, _ = _noted(activity, MAKE, make)(config, 0, 0)
+        except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
+            return [f"a second one cannot be made: {said_by(error)}"]
+        try:
             for name, call in (("reset", RESET), ("step", STEP), ("close", CLOSE)):
                 method = _noted(activity, call, getattr(env.unwrapped, name))
                 setattr(env.unwrapped, name, method)
-            try:
-                check_env(env.unwrapped, skip_render_check=True)
-                found = []
-            except BaseException as error:  # noqa: BLE001  # it asserts and raises all
-                found = [said_by(error)]
+            check_env(env.unwrapped, skip_render_check=True)
+        except BaseException as error:  # noqa: BLE001  # it asserts and raises all
+            found = [said_by(error)]
+        with contextlib.suppress(BaseException):  # the first one's has been said
             env.close()
-    except BaseException as error:  # noqa: BLE001  # whatever a user's code raises
-        return [f"a second one cannot be made: {said_by(error)}"]
     theirs = [w for w in said if not issubclass(w.category, ResourceWarning)]
     lines = [_COLOURS.sub("", line) for line in (*found, *(str(w.message) for w in theirs))]
     return list(dict.fromkeys(" ".join(x.split()).removeprefix("WARN: ") for x in lines))

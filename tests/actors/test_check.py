@@ -51,3 +51,8 @@ def test_a_mistake_is_in_the_users_file_where_packages_are_reached_by_a_link(
         check(EnvConfig(env_id="a2s_case_mistakes:FourValues-v0"), lambda _: None)
     said = r".*: step returned 4 values, expected 5 .* \(\S*a2s_case_envs\.py:\d+\)"
     assert re.fullmatch(said, str(caught.value))
+
+
+def test_a_close_that_raises_does_not_mean_that_a_second_one_cannot_be_made() -> None:
+    found = check(EnvConfig(env_id="a2s_case_processes:CloseRaises-v0"), lambda _: None)
+    assert not [remark for remark in found["remarks"] if "cannot be made" in remark]
