@@ -75,7 +75,7 @@ def _play(environment: Environment, rng: np.random.Generator) -> Report:
     ends, unusable = [0, 0], 0
     attempt = _Attempts(environment.name)
     obs, length, begin_s = environment.reset(), 0, perf_counter()
-    while len(rewards) < _STEPS and perf_counter() - begin_s < _SECONDS:
+    while not rewards or (len(rewards) < _STEPS and perf_counter() - begin_s < _SECONDS):
         if not is_usable(obs):
             attempt.failed(wrong_in(obs), f"the reset after step {len(rewards)}", is_empty=True)
             obs = environment.reset()

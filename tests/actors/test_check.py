@@ -5,9 +5,12 @@ import re
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 
+from a2s.actors import check as check_module
 from a2s.actors.check import check
+from a2s.actors.environments.environment import Environment
 from a2s.protocol.env_config import EnvConfig
 from a2s.protocol.errors import FaultyEnvironmentError
 
@@ -38,6 +41,16 @@ def test_one_whose_steps_can_be_used_in_part_is_taken(name: str, first: str, unu
     """An episode is cut before a step that cannot, as training does."""
     found = check(EnvConfig(env_id=name), lambda _: None)
     assert (found["first_unusable"], found["unusable_steps"]) == (first, unusable)
+
+
+def test_one_whose_first_observation_takes_longer_than_the_trial_is_tried_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Until it has made a step, or is refused."""
+    monkeypatch.setattr(check_module, "_SECONDS", 0.0)
+    config = EnvConfig(env_id="a2s_case_numbers:BrokenFrom", kwargs='{"first": 0}')
+    with pytest.raises(FaultyEnvironmentError, match="in 10 attempts in a row, at last: obs"):
+        check_module._play(Environment(config), np.random.default_rng(0))
 
 
 def test_a_mistake_is_in_the_users_file_where_packages_are_reached_by_a_link(
