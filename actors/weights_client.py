@@ -36,6 +36,7 @@ class WeightsClient:
         self._notice: Notice | None = None
         self._is_answer = False  # the notice is what the learner has answered
         self._generation: int | None = None  # of its latest answer
+        self._claim = (0, 0)  # greatest generation and epoch of an acknowledgement, until asked
         self._asking = True
         self._thread = ThreadPoolExecutor(1, "weights")
         self._fetch: Future[Weights | None] | None = None
@@ -45,6 +46,7 @@ class WeightsClient:
         """Request the notice if an acknowledgement names newer weights, or those of another."""
         with self._changed:
             known = self._notice
+            self._claim = max(self._claim, (ack.generation, ack.epoch))
             is_other = known is None or ack.generation != known.generation
             if is_other or (known is not None and ack.weights_version > known.version):
                 self._asking = True
@@ -59,16 +61,25 @@ class WeightsClient:
     def overrules(self, notice: Notice) -> bool:
         """Whether the learner has recovered or restarted since these weights.
 
-        If somebody has announced that, the learner is asked; without its word it is forgotten.
+        If somebody has announced that, or an acknowledgement has told it, the learner is asked;
+        without its word it is forgotten.
         """
+        playing = (notice.generation, notice.epoch)
         with self._changed:
-            known, is_answer = self._notice, self._is_answer
-        if known is None or ((known.generation, known.epoch) <= (notice.generation, notice.epoch)):
+            known, is_answer, claim = self._notice, self._is_answer, self._claim
+        if known is None:
             return False
-        if not is_answer and (known := self._ask()) is None:
+        heard = (known.generation, known.epoch)
+        if max(heard, claim) <= playing:
+            return False
+        if not (is_answer and heard > playing):
+            answer = self._ask()
             with self._changed:
-                self._notice, self._asking = notice, True
-            return False
+                self._claim = (0, 0)
+                if answer is None:
+                    self._notice, self._asking = notice, True
+                    return False
+            known = answer
         return known.generation != notice.generation or known.epoch > notice.epoch
 
     def other_than(self, notice: Notice | None, proceed: Callable[[], bool]) -> Notice | None:

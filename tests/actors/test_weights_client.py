@@ -150,3 +150,20 @@ def test_only_the_learner_itself_interrupts(
     assert not client.overrules(playing)
     learner.announce(claimed)
     assert client.overrules(playing)
+
+
+def test_an_acknowledgement_of_another_epoch_interrupts_if_the_learner_confirms_it(
+    client: WeightsClient, learner: _Learner, make_notice: MakeNotice
+) -> None:
+    """The announcement may have been lost."""
+    playing, recovered = (make_notice(generation=2, epoch=e, version=15 + e) for e in (0, 1))
+    ack = Ack(
+        verdict="stale", reason="", generation=2, epoch=1, weights_version=16, wait_s=0.0
+    )  # fmt: skip
+    client.hear(ack)
+    assert not client.overrules(playing)
+    learner.asked = repeat(recovered)
+    assert not client.overrules(playing)  # it was asked, and has said no
+    client.hear(ack)
+    assert client.overrules(playing)
+    assert not client.overrules(recovered)
