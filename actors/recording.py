@@ -86,7 +86,7 @@ def _record(parent: Parent) -> None:
             f"environment {config.env_id}: it draws no pictures: found render_modes {modes} in its "
             f"metadata, expected {_MODE!r} among them, and a render() that gives one"
         ) from error
-    told = getattr(environment.unwrapped, "metadata", {}).get("render_fps", _FRAMES_PER_S)
+    told = getattr(environment.unwrapped, "metadata", {}).get("render_fps") or _FRAMES_PER_S
     fps, frames = max(1.0, told / config.action_repeat), 0
     with contextlib.closing(_Video(Path(task["output"]), first, fps)) as video:
         for choice in played.rounds():

@@ -87,6 +87,11 @@ def test_every_step_of_every_episode_has_its_picture(policy: Path, tmp_path: Pat
     assert line(found).endswith("video.mp4: 0 s of " + found["env"] + " (mean), return 5.0, 5.0")
 
 
+def test_an_environment_that_tells_no_speed_has_the_usual_one(policy: Path) -> None:
+    found = _record(policy, DRAWN.replace('"render_fps": 20', '"render_fps": None'))
+    assert found["fps"] == 30
+
+
 def test_what_is_known_of_the_step_stands_above_unless_it_is_not_wanted(policy: Path) -> None:
     """White letters; in another mode than the mean action there are more of them."""
     bright = {}
