@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.spaces.utils import flatdim
 
 from a2s.actors.environments.faults import Faults
 from a2s.protocol.fields import Array, is_within
@@ -100,6 +101,8 @@ def _numbers(space: "spaces.Space[Any]", value: Any) -> _Float64s:
         _require_within(space, value)
         value = spaces.flatten(space, value)
     numbers: _Float64s = _unmasked(value, _FLOAT64).reshape(-1)
+    if numbers.size != flatdim(space):
+        raise ValueError("another count")
     return numbers
 
 
@@ -111,9 +114,9 @@ def _unmasked(value: Any, dtype: "np.dtype[Any]") -> npt.NDArray[Any]:
 
 
 def _require_within(space: "spaces.Space[Any]", value: Any) -> None:
-    """Refuse a number that is not a valid class; one-hot, it would count as another."""
+    """Refuse numbers that are not valid classes; one-hot, they would count as others."""
     if isinstance(space, spaces.Discrete | spaces.MultiDiscrete):
         count = space.n if isinstance(space, spaces.Discrete) else space.nvec
         index = np.asarray(value) - space.start
-        if ((index < 0) | (index >= count)).any():
+        if np.size(value) != np.size(count) or ((index < 0) | (index >= count)).any():
             raise ValueError("out of range")

@@ -2,15 +2,19 @@
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from a2s_case_numbers import THIRD, UNSUPPORTED
 from case_plays import action, play
+from gymnasium import spaces
 
 from a2s.actors.environments.environment import Environment
+from a2s.actors.environments.faults import Faults
+from a2s.actors.environments.observations import Observations
 from a2s.protocol.env_config import EnvConfig
-from a2s.protocol.errors import UsageError
+from a2s.protocol.errors import FaultyEnvironmentError, UsageError
 
 MakeGraph = Callable[..., bytes]
 
@@ -80,3 +84,27 @@ def test_a_composite_observation_is_flat_in_the_order_of_gymnasium() -> None:
     assert environment.spaces.obs_size == 9
     obs, *_ = environment.step(action(0.5))
     assert obs.tolist() == [7.0, 8.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.25, -0.5]
+
+
+_TWO, _THREE = (spaces.Box(-1.0, 1.0, (size,)) for size in (2, 3))
+
+
+@pytest.mark.parametrize(
+    ("space", "obs", "size"),
+    [
+        (spaces.Dict({"a": _TWO, "b": _THREE}), {"a": np.zeros(3), "b": np.zeros(2)}, 5),
+        (spaces.Tuple((_TWO, _THREE)), (np.zeros(3), np.zeros(2)), 5),
+        (spaces.Discrete(3), np.array([0, 1]), 3),
+        (spaces.MultiDiscrete([3, 3]), 2, 6),
+    ],
+    ids=str,
+)
+def test_a_part_with_another_count_of_numbers_is_a_mistake(
+    space: "spaces.Space[Any]", obs: Any, size: int
+) -> None:
+    """Whatever the count of all of them: they would be another part's."""
+    env = _make("Composite")._env
+    env.unwrapped.observation_space = space
+    observations = Observations(Faults("E"), env, size, 1, None)
+    with pytest.raises(FaultyEnvironmentError, match="E: reset returned"):
+        observations.read("reset", obs)
