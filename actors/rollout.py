@@ -28,6 +28,7 @@ class _Slot:
     def __init__(self, index: int, environment: Environment, seed: int) -> None:
         self.index, self.environment = index, environment
         self.useless = 0
+        self.owed_steps = 0  # in short episodes
         self.begin_quota()
         self.begin_segment()
         self.begin_episode(seed)
@@ -42,6 +43,7 @@ class _Slot:
         self.obs = self.environment.reset(seed)
         self.episode_return = 0.0
         self.episode_length = 0
+        self.is_short = self.owed_steps > 0
 
     def has_met(self, notice: Notice) -> bool:
         """Whether its quota has been played."""
@@ -50,6 +52,13 @@ class _Slot:
         if notice.quota_episodes == 0:
             return True
         return self.quota_episodes >= notice.quota_episodes and self.episode_length == 0
+
+    def owe(self, short_steps: int) -> None:
+        """Owe as many steps in short episodes as the whole one has taken that ends here."""
+        if self.is_short:
+            self.owed_steps -= self.episode_length
+        elif 0 < short_steps < self.episode_length:
+            self.owed_steps = self.episode_length
 
     def is_endless(self) -> bool:
         """Whether nothing has ended the episode, or ever will."""
@@ -61,7 +70,9 @@ class Rollout:
 
     A step with unusable numbers is dropped and the episode cut before it. Dropped steps are played
     again, so that the quota is always delivered. ``actor`` is the name to send under; ``seed`` is
-    for the environments, ``random``, ``np.random`` and the suggestions' noise.
+    for the environments, ``random``, ``np.random`` and the suggestions' noise. After a whole
+    episode of more than ``short_steps`` as many steps are made in episodes of at most that
+    (docs/adr/0038); 0: never.
     ``segments_made`` counts the segments that were yielded.
     """
 
@@ -72,6 +83,7 @@ class Rollout:
         seed: int,
         metrics: ActorMetrics,
         troubles: Troubles,
+        short_steps: int = 0,
     ) -> None:
         drawn = np.random.SeedSequence(seed).generate_state(len(environments) + 1)
         *env_seeds, noise_seed = (int(number) for number in drawn & MAX_SEED)
@@ -83,6 +95,7 @@ class Rollout:
         ]
         self._rng = np.random.default_rng(noise_seed)
         self._metrics, self._troubles = metrics, troubles
+        self._short_steps = short_steps
         self._environment_s = metrics.seconds.labels("environment")
         self._selection_s = metrics.seconds.labels("selection")
         self._choice: Choice | None = None
@@ -170,6 +183,8 @@ class Rollout:
         if notice.quota_episodes and slot.is_endless():
             self._troubles.cut(slot.environment.name, slot.episode_length)
             return self._end(slot, notice, terminated=False, truncated=True)
+        if slot.is_short and slot.episode_length >= self._short_steps and is_usable(obs):
+            return self._begin_another(slot, notice)
         if len(slot.rows) >= self._max_rows and is_usable(obs):
             return self._cut(slot, notice)
         return _NOTHING
@@ -184,6 +199,13 @@ class Rollout:
         self._count_episode(slot, terminated=terminated)
         told = slot.environment.metrics()
         yield from self._cut(slot, notice, terminated=terminated, truncated=truncated, told=told)
+        slot.owe(self._short_steps)
+        slot.begin_episode()
+
+    def _begin_another(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
+        """Leave a short episode, which goes on for who learns from it."""
+        yield from self._cut(slot, notice)
+        slot.owe(self._short_steps)
         slot.begin_episode()
 
     def _drop_unusable(self, slots: Iterable[_Slot], notice: Notice) -> Iterator[Segment]:
@@ -234,6 +256,7 @@ class Rollout:
                 episode_return=slot.episode_return,
                 episode_length=slot.episode_length,
                 metrics=told,
+                short=slot.is_short,
             )
         except MalformedMessageError as error:  # a sum, or a number of the policy's
             self._count_dropped(slot, len(reward), str(error), is_useless=True)
@@ -246,6 +269,8 @@ class Rollout:
         yield segment
 
     def _count_episode(self, slot: _Slot, *, terminated: bool) -> None:
+        if slot.is_short:
+            return
         self._metrics.episodes.labels("terminated" if terminated else "truncated").inc()
         self._metrics.episode_return_last.set(slot.episode_return)
         self._metrics.episode_length.observe(slot.episode_length)

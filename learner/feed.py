@@ -31,7 +31,7 @@ class Arrival(NamedTuple):
     def of(cls, segment: Segment, slot: int) -> Self:
         """The counts of a segment from the actor at a place."""
         episode = None
-        if segment.ends_episode:
+        if segment.ends_episode and not segment.short:
             episode = Episode(
                 weights_version=segment.weights_version,
                 episode_return=segment.episode_return,

@@ -72,6 +72,7 @@ class OwnReplay:
             segment_steps=hyper.send_every_steps,
             batch_size=hyper.batch_rows,
         )
+        self.short_steps = hyper.short_steps
         self._quota_steps = hyper.send_every_steps
         self._update_s = 0.01
         self._waiting: list[tuple[int, Segment]] = []

@@ -85,13 +85,14 @@ class Welcome:
     seed: int  # of environments and noise; while it only asks, of what is random before it joins
     env: EnvConfig | None = None  # None: made with its id alone
     window: int = 1  # segments that may be unanswered at a time, by an actor that says its next_seq
+    short_steps: int = 0  # of the short episodes between whole ones; 0: there are none
 
     def __post_init__(self) -> None:
         """Check the numbers and the name."""
         require(is_name(self.run), "welcome: run", repr(self.run), NAME)
         found = self.num_envs
         require(1 <= found <= MAX_ENVS, "welcome: num_envs", found, f"1..{MAX_ENVS}")
-        require_counts("welcome", self, "generation", "seed")
+        require_counts("welcome", self, "generation", "seed", "short_steps")
         require(1 <= self.window <= MAX_WINDOW, "welcome: window", self.window, f"1..{MAX_WINDOW}")
         _require_slot("welcome", self.slot)
 
@@ -146,6 +147,7 @@ class Segment:
     episode_return: float  # sum of rewards since the episode began, this segment included
     episode_length: int  # steps since the episode began, this segment included
     metrics: tuple[EpisodeMetric, ...] = ()  # of the episode that ends here
+    short: bool = False  # of a short episode: it is learned from, and its return is nobody's
 
     def __post_init__(self) -> None:
         """Check the shapes against each other, and every number."""

@@ -19,7 +19,8 @@ class Admission:
 
     ``generation`` is that of the learner, ``max_policy_lag`` is how many versions a segment
     may be behind, ``None``: any number. ``max_suggestion`` is the largest absolute value allowed.
-    ``episode_limit`` is in steps, 0: the environment has none.
+    ``episode_limit`` is in steps, 0: the environment has none. ``short_steps`` are those of
+    short episodes, 0: there are none.
     """
 
     run: RunConfig
@@ -28,6 +29,7 @@ class Admission:
     max_policy_lag: int | None
     max_suggestion: float
     episode_limit: int
+    short_steps: int = 0
 
     @property
     def seed_before_joining(self) -> int:
@@ -49,6 +51,7 @@ class Admission:
             seed=seed,
             env=run.env_config(),
             window=_WINDOW,
+            short_steps=self.short_steps,
         )
 
     def difference(self, hello: Hello) -> str:

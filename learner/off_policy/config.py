@@ -197,6 +197,12 @@ class OffPolicyConfig(Settings):
         "a round of 16 environments is then 128 steps",
         low=1,
     )
+    short_steps: int = setting(
+        200,
+        "Steps of the short episodes in which actors make half of their steps; 0: none",
+        "a start is one step of a thousand; docs/adr/0038",
+        low=0,
+    )
     lead_steps: int = setting(
         16,
         "Steps that acting or learning may be ahead of ``utd_ratio`` before it waits",
@@ -236,6 +242,7 @@ _SAC = replace(
     average_updates=0,  # SAC (Haarnoja et al. 2018), table 1
     gamma=0.99,  # SAC (Haarnoja et al. 2018), table 1
     tau=0.005,  # SAC (Haarnoja et al. 2018), table 1
+    short_steps=0,  # SAC (Haarnoja et al. 2018), table 1
 )
 _PAPER = replace(
     OffPolicyConfig(),
@@ -258,6 +265,7 @@ _PAPER = replace(
     average_updates=0,  # paper, algorithm 2
     gamma=0.97,  # paper, table 3
     tau=1.0,  # paper, algorithm 2: no target network
+    short_steps=0,  # paper, algorithm 2
     warm_up_steps=1000,  # the box has none; an untrained Q prefers one direction
 )
 PRESETS = {

@@ -83,6 +83,15 @@ class Crash(Count):
         return super().step(action)
 
 
+class Falls(Count):
+    """Every second episode has one step."""
+
+    def reset(self, **how: Any) -> tuple[Obs, dict[str, Any]]:
+        obs, info = super().reset(**how)
+        self._length = 1 if self._episode % 2 else 5
+        return obs, info
+
+
 class Spaces(Count):
     """Has the spaces it is told to have."""
 
@@ -134,6 +143,7 @@ _register("PaysMost", Count, length=8, reward=1e9)
 _register("NanAlways", Count, nan_at=0)
 _register("NanFirst", Count, nan_at=2, nan_episodes=1)
 _register("Crash", Crash)
+_register("Falls", Falls)
 _register("Reach", Reach)
 _register("DictObs", Spaces, obs=spaces.Dict({"a": _BOX}))
 _register("ImageObs", Spaces, obs=spaces.Box(0, 255, (8, 8, 3), np.uint8))

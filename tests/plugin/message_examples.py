@@ -100,11 +100,12 @@ GOLDEN: list[tuple[Message, bytes]] = [
     (
         Welcome(
             run="r", generation=1, env_id="E", spaces=SPACES, num_envs=8, clock="lockstep",
-            slot=-1, seed=65536, env=ENV, window=16,
+            slot=-1, seed=65536, env=ENV, window=16, short_steps=3,
         ),
-        b"\x8c\xa3a2s\x02\xa4kind\xa7Welcome\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
+        b"\x8d\xa3a2s\x02\xa4kind\xa7Welcome\xa3run\xa1r\xaageneration\x01\xa6env_id\xa1E"
         b"\xa6spaces" + SPACES_BYTES + b"\xa8num_envs\x08\xa5clock\xa8lockstep\xa4slot\xff"
-        b"\xa4seed\xce\x00\x01\x00\x00\xa3env" + ENV_BYTES + b"\xa6window\x10",
+        b"\xa4seed\xce\x00\x01\x00\x00\xa3env" + ENV_BYTES + b"\xa6window\x10"
+        b"\xabshort_steps\x03",
     ),
     (
         Refusal(reason="no", retry_s=0.5),
@@ -115,15 +116,15 @@ GOLDEN: list[tuple[Message, bytes]] = [
             actor="h-1", seq=7, generation=1, epoch=0, weights_version=2, env=0, obs=f32([[1]]),
             suggestion=f32([[0.5]]), log_prob=f32([-1]), reward=f32([1]), final_obs=f32([0.5]),
             terminated=True, truncated=False, episode_return=0.5, episode_length=1,
-            metrics=(EpisodeMetric(name="is_success", value=0.5),),
+            metrics=(EpisodeMetric(name="is_success", value=0.5),), short=True,
         ),
-        b"\xde\x00\x12\xa3a2s\x02\xa4kind\xa7Segment"  # 18 entries: a map 16
+        b"\xde\x00\x13\xa3a2s\x02\xa4kind\xa7Segment"  # 19 entries: a map 16
         b"\xa5actor\xa3h-1\xa3seq\x07\xaageneration\x01\xa5epoch\x00\xafweights_version\x02"
         b"\xa3env\x00\xa3obs" + F4_1_1 + ONE + b"\xaasuggestion" + F4_1_1 + HALF +
         b"\xa8log_prob" + F4_1 + MINUS_ONE + b"\xa6reward" + F4_1 + ONE +
         b"\xa9final_obs" + F4_1 + HALF + b"\xaaterminated\xc3\xa9truncated\xc2"
         b"\xaeepisode_return" + FLOAT64_HALF + b"\xaeepisode_length\x01"
-        b"\xa7metrics\x91\x82\xa4name\xaais_success\xa5value" + FLOAT64_HALF,
+        b"\xa7metrics\x91\x82\xa4name\xaais_success\xa5value" + FLOAT64_HALF + b"\xa5short\xc3",
     ),
     (
         Ack(verdict="accepted", reason="", generation=1, epoch=0, weights_version=2, wait_s=0.5),
@@ -222,9 +223,9 @@ DEFAULTS: dict[type, dict[str, object]] = {
         "max_episode_steps": 0, "timeout_s": 120.0, "info_metrics": (),
     },
     Hello: {"cause": "", "slot": -1, "next_seq": -1},
-    Welcome: {"env": None, "window": 1},
+    Welcome: {"env": None, "window": 1, "short_steps": 0},
     Refusal: {"retry_s": 0.0},
-    Segment: {"metrics": ()},
+    Segment: {"metrics": (), "short": False},
     ActorStatus: {
         "doing": "", "dropped_steps": 0, "trouble": "",
         "environment_s": 0.0, "selection_s": 0.0, "sending_s": 0.0, "waiting_s": 0.0,

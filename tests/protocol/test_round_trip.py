@@ -90,7 +90,7 @@ def segments(draw: st.DrawFn) -> Any:
             final_obs=floats32(d, most=2.0**33),
             terminated=st.just(terminated), truncated=st.just(truncated),
             episode_return=st.floats(-1e10, 1e10), episode_length=st.integers(t, 2**63 - 1),
-            metrics=some.map(tuple),
+            metrics=some.map(tuple), short=st.booleans(),
         )
     )  # fmt: skip
 
@@ -138,6 +138,7 @@ ANY_MESSAGE: dict[type, st.SearchStrategy[Message]] = {
     Welcome: build(
         Welcome, run=names, spaces=spaces(), env=st.none() | environments, slot=slots,
         num_envs=st.integers(1, 4096), window=st.integers(1, 1000),
+        short_steps=counts,
     ),
     Refusal: build(Refusal, retry_s=st.floats(0, 1e6)),
     Segment: segments(),

@@ -60,6 +60,18 @@ def test_lockstep_is_reproducible_to_the_bit(run_a2s: RunA2S, tmp_path: Path) ->
     assert np.array_equal(first, second)
 
 
+def test_half_of_the_steps_are_of_short_episodes_and_the_others_alone_are_counted(
+    run_a2s: RunA2S, tmp_path: Path
+) -> None:
+    """After 8 steps of a whole one 3 + 3 + 3."""
+    options = ("--set", "short_steps=3", "--total-steps", "340", "--n", "1", "--envs", "1")
+    summary = run_a2s("train", *REACH, *SMALL, *options, "--run-dir", str(tmp_path / "run"))
+    played = rows(tmp_path / "run" / "episodes.csv", without="wall_s")[1:]
+    lengths = [row.split(",")[4] for row in played]
+    assert lengths == ["8"] * summary["episodes"]
+    assert summary["episodes"] == (summary["env_steps"] + 17 - 8) // 17
+
+
 @pytest.mark.long
 def test_a_resume_that_cannot_go_on_changes_nothing(
     start: Start, run_a2s: RunA2S, endpoint: str, tmp_path: Path
