@@ -147,9 +147,9 @@ class Actor:
             _require_made_for(told, welcome)
             if self._rollout is None:
                 self._rollout = Rollout(
-                    self._name, environments, welcome.seed, self._metrics, self._troubles,
-                    welcome.short_steps,
-                )  # fmt: skip
+                    self._name, environments, welcome.seed, self._metrics, self._troubles
+                )
+            self._rollout.short_steps = welcome.short_steps
             known = self._notice if welcome.clock == "lockstep" else None
             with self._metrics.spending("waiting"):
                 notice = self._weights.other_than(known, self._wait_for_weights)

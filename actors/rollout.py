@@ -57,8 +57,10 @@ class _Slot:
         """Owe as many steps in short episodes as the whole one has taken that ends here."""
         if self.is_short:
             self.owed_steps -= self.episode_length
-        elif 0 < short_steps < self.episode_length:
+        elif short_steps < self.episode_length:
             self.owed_steps = self.episode_length
+        if short_steps == 0:
+            self.owed_steps = 0
 
     def is_endless(self) -> bool:
         """Whether nothing has ended the episode, or ever will."""
@@ -70,10 +72,12 @@ class Rollout:
 
     A step with unusable numbers is dropped and the episode cut before it. Dropped steps are played
     again, so that the quota is always delivered. ``actor`` is the name to send under; ``seed`` is
-    for the environments, ``random``, ``np.random`` and the suggestions' noise. After a whole
-    episode of more than ``short_steps`` as many steps are made in episodes of at most that
-    (docs/adr/0038); 0: never.
-    ``segments_made`` counts the segments that were yielded.
+    for the environments, ``random``, ``np.random`` and the suggestions' noise.
+
+    Attributes:
+        segments_made: Segments that were yielded.
+        short_steps: After a whole episode of more steps as many are made in episodes of at most so
+            many (docs/adr/0038); 0: never.
     """
 
     def __init__(
@@ -83,7 +87,6 @@ class Rollout:
         seed: int,
         metrics: ActorMetrics,
         troubles: Troubles,
-        short_steps: int = 0,
     ) -> None:
         drawn = np.random.SeedSequence(seed).generate_state(len(environments) + 1)
         *env_seeds, noise_seed = (int(number) for number in drawn & MAX_SEED)
@@ -95,7 +98,7 @@ class Rollout:
         ]
         self._rng = np.random.default_rng(noise_seed)
         self._metrics, self._troubles = metrics, troubles
-        self._short_steps = short_steps
+        self.short_steps = 0
         self._environment_s = metrics.seconds.labels("environment")
         self._selection_s = metrics.seconds.labels("selection")
         self._choice: Choice | None = None
@@ -183,7 +186,7 @@ class Rollout:
         if notice.quota_episodes and slot.is_endless():
             self._troubles.cut(slot.environment.name, slot.episode_length)
             return self._end(slot, notice, terminated=False, truncated=True)
-        if slot.is_short and slot.episode_length >= self._short_steps and is_usable(obs):
+        if slot.is_short and slot.episode_length >= self.short_steps and is_usable(obs):
             return self._begin_another(slot, notice)
         if len(slot.rows) >= self._max_rows and is_usable(obs):
             return self._cut(slot, notice)
@@ -199,13 +202,13 @@ class Rollout:
         self._count_episode(slot, terminated=terminated)
         told = slot.environment.metrics()
         yield from self._cut(slot, notice, terminated=terminated, truncated=truncated, told=told)
-        slot.owe(self._short_steps)
+        slot.owe(self.short_steps)
         slot.begin_episode()
 
     def _begin_another(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
         """Leave a short episode, which goes on for who learns from it."""
         yield from self._cut(slot, notice)
-        slot.owe(self._short_steps)
+        slot.owe(self.short_steps)
         slot.begin_episode()
 
     def _drop_unusable(self, slots: Iterable[_Slot], notice: Notice) -> Iterator[Segment]:

@@ -17,7 +17,9 @@ MakeNotice = Callable[..., Notice]
 
 def _rollout(env_id: str, short_steps: int, metrics: ActorMetrics) -> Rollout:
     environment = Environment(EnvConfig(env_id=f"a2s_test_envs:{env_id}-v0"))
-    return Rollout("tester", [environment], 0, metrics, Troubles(), short_steps)
+    rollout = Rollout("tester", [environment], 0, metrics, Troubles())
+    rollout.short_steps = short_steps
+    return rollout
 
 
 def _play(short_steps: int, graph: bytes, notice: Notice, metrics: ActorMetrics) -> list[Segment]:
@@ -57,6 +59,20 @@ def test_a_short_episode_that_ends_by_itself_has_ended_and_its_return_is_nobodys
     assert total(metrics.episodes) == 2
     counted = [s.episode_return for s in played if Arrival.of(s, 0).episode is not None]
     assert counted == [15.0, 1.0]
+
+
+def test_a_learner_that_wants_none_has_the_short_one_left(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    """After 5 steps of a whole one and 1 of a short one."""
+    rollout = _rollout("Count", 2, ActorMetrics())
+    suggester, notice = Suggester(make_graph()), make_notice(quota_steps=6)
+    before = list(rollout.play(suggester, notice, lambda: False))
+    rollout.short_steps = 0
+    after = list(rollout.play(suggester, notice, lambda: False))
+    assert [(s.short, s.num_steps) for s in before + after] == [
+        (False, 5), (True, 1), (True, 1), (False, 5)
+    ]  # fmt: skip
 
 
 def test_whole_episodes_that_are_no_longer_are_all_there_are(
