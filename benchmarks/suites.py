@@ -18,8 +18,8 @@ def _set(**options: object) -> tuple[str, ...]:
 
 
 def _off(**options: object) -> tuple[str, ...]:
-    """Off-policy A2S with something else than its default."""
-    return (*_OFF, *_set(**options))
+    """Off-policy A2S of before short episodes, with something else than its default."""
+    return (*_OFF, *_set(short_steps=0, **options))
 
 
 def _a2c(**options: object) -> tuple[str, ...]:
@@ -72,7 +72,9 @@ LABELS: dict[str, tuple[str, ...]] = {
     "no-window": ("--set", "window_steps=1"),
     **dict.fromkeys(ARMS, ()),
     **_A2C_TRIALS,
-    "off-policy": _OFF,
+    "short": _OFF,
+    "short-k1": (*_OFF, *_set(act_suggestions=1)),
+    "off-policy": _off(),
     "off-policy-k1": _off(act_suggestions=1),
     "gamma-0.99": _off(gamma=0.99),
     **_BEST_OF_K,
@@ -163,6 +165,9 @@ SUITES = {
         100_000,
         1,
         continues="best-of-k",
+    ),
+    "short-100k": Suite(
+        "off_policy", (*MUJOCO, "Ant-v5"), ("short", "short-k1"), tuple(range(20, 25)), 100_000, 1
     ),
     "300k": Suite(
         "off_policy", (*_OFF_ABLATED, "Ant-v5"), _BOTH, (0, 1, 2), 300_000, 1, continues="100k"
