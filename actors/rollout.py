@@ -53,14 +53,18 @@ class _Slot:
             return True
         return self.quota_episodes >= notice.quota_episodes and self.episode_length == 0
 
-    def owe(self, short_steps: int) -> None:
-        """Owe as many steps in short episodes as the whole one has taken that ends here."""
+    def begin_another(self, short_steps: int) -> None:
+        """Begin the episode after this one: a short one while steps in such are owed.
+
+        As many are owed as a whole one has taken that had more than ``short_steps``.
+        """
         if self.is_short:
             self.owed_steps -= self.episode_length
         elif short_steps < self.episode_length:
             self.owed_steps = self.episode_length
         if short_steps == 0:
             self.owed_steps = 0
+        self.begin_episode()
 
     def is_endless(self) -> bool:
         """Whether nothing has ended the episode, or ever will."""
@@ -187,7 +191,7 @@ class Rollout:
             self._troubles.cut(slot.environment.name, slot.episode_length)
             return self._end(slot, notice, terminated=False, truncated=True)
         if slot.is_short and slot.episode_length >= self.short_steps and is_usable(obs):
-            return self._begin_another(slot, notice)
+            return self._leave(slot, notice)
         if len(slot.rows) >= self._max_rows and is_usable(obs):
             return self._cut(slot, notice)
         return _NOTHING
@@ -202,14 +206,12 @@ class Rollout:
         self._count_episode(slot, terminated=terminated)
         told = slot.environment.metrics()
         yield from self._cut(slot, notice, terminated=terminated, truncated=truncated, told=told)
-        slot.owe(self.short_steps)
-        slot.begin_episode()
+        slot.begin_another(self.short_steps)
 
-    def _begin_another(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
+    def _leave(self, slot: _Slot, notice: Notice) -> Iterator[Segment]:
         """Leave a short episode, which goes on for who learns from it."""
         yield from self._cut(slot, notice)
-        slot.owe(self.short_steps)
-        slot.begin_episode()
+        slot.begin_another(self.short_steps)
 
     def _drop_unusable(self, slots: Iterable[_Slot], notice: Notice) -> Iterator[Segment]:
         """Drop the latest step of environments whose observation cannot be used."""
