@@ -202,6 +202,7 @@ class OffPolicyConfig(Settings):
         "Steps of the short episodes in which actors make half of their steps; 0: none",
         "a start is one step of a thousand; docs/adr/0038",
         low=0,
+        high=10**9,
     )
     lead_steps: int = setting(
         16,

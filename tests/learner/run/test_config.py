@@ -120,6 +120,13 @@ def test_wrong_values_are_refused_in_one_line(overrides: dict[str, object], mess
         on_policy("modern", "a2s", overrides)
 
 
+def test_steps_that_no_message_can_hold_are_refused() -> None:
+    """An actor would wait for its welcome without end."""
+    expected = "a whole number from 0 to 1000000000"
+    with pytest.raises(UsageError, match=f"^short_steps: found 1{'0' * 19}, expected {expected}$"):
+        off_policy("modern", {"short_steps": "1e19"})
+
+
 def test_the_authors_have_few_settings() -> None:
     """The others are told apart: of another preset, or of none."""
     with pytest.raises(UsageError, match=r"'clip_ratio' \(only with --preset modern\)"):
