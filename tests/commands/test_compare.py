@@ -89,6 +89,19 @@ def test_runs_that_are_no_sample_are_named(tmp_path: Path) -> None:
     assert "runs of other lengths are not alike" in page(found)
 
 
+def test_a_run_is_as_long_as_it_has_learned(tmp_path: Path) -> None:
+    """After the last whole episode it may have made short ones."""
+    runs = [_run(tmp_path / name, 10.0, f"gamma = 0.{name}") for name in ("8", "9")]
+    for run, steps in zip(runs, (1000, 1150), strict=True):
+        rows = f"update,wall_s,env_steps\n1,0,500\n2,1,{steps}\n"
+        (run / "updates.csv").write_text(rows)
+    with (runs[0] / "episodes.csv").open("a") as file:
+        file.write("0,1150,0,1,10,5,1\n")
+    found = compare_runs(runs)
+    assert [each["env_steps"] for each in found] == [[1150], [1150]]
+    assert "other lengths" not in page(found)
+
+
 def test_a_run_counts_once(tmp_path: Path) -> None:
     run = _run(tmp_path / "a", 1.0)
     with pytest.raises(UsageError, match="found a run twice"):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from a2s.commands.plot import Curve, identity, read_curve
 from a2s.commands.statistics import area, compare, interval
 from a2s.learner.numerals import written
 from a2s.learner.run import config as configuration
-from a2s.learner.run.directory import CONFIG, evaluations
+from a2s.learner.run.directory import CONFIG, EPISODES, UPDATES, evaluations
 from a2s.protocol.errors import RunDirectoryError, UsageError
 
 _LAST = 5  # evaluations
@@ -74,7 +75,7 @@ def worth_of(run: Path, *, evaluated: bool) -> Worth:
         UsageError: There is nothing to judge by.
     """
     found = _evaluations(run) if evaluated else None
-    steps, returns = read_curve(run / "episodes.csv") if found is None else found
+    steps, returns = read_curve(run / EPISODES) if found is None else found
     if found is not None:
         last = returns[-_LAST:]
     else:
@@ -84,7 +85,11 @@ def worth_of(run: Path, *, evaluated: bool) -> Worth:
 
 
 def _steps(run: Path) -> int:
-    return int(read_curve(run / "episodes.csv")[0][-1])
+    """Its length: with short episodes the last one that is counted may end long before the run."""
+    last = read_curve(run / EPISODES)[0][-1]
+    with suppress(UsageError):  # it has learned nothing yet
+        last = max(last, read_curve(run / UPDATES, "update")[0][-1])
+    return int(last)
 
 
 def _seed(run: Path) -> object:
