@@ -232,7 +232,7 @@ class Rollout:
         if slot.rows:
             self._count_episode(slot, terminated=False)
         yield from self._cut(slot, notice, truncated=True)
-        slot.begin_episode()
+        slot.begin_another(self.short_steps)
 
     def _cut(
         self, slot: _Slot, notice: Notice, *, terminated: bool = False, truncated: bool = False,

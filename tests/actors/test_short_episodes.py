@@ -61,6 +61,17 @@ def test_a_short_episode_that_ends_by_itself_has_ended_and_its_return_is_nobodys
     assert counted == [15.0, 1.0]
 
 
+def test_a_short_episode_that_has_to_be_cut_counts_with_the_steps_that_are_left(
+    make_graph: MakeGraph, make_notice: MakeNotice
+) -> None:
+    """After 5 steps of a whole one 2 + 2 + 2 in short ones of 4, then a whole one again."""
+    rollout, notice = _rollout("Breaks", 4, ActorMetrics()), make_notice(quota_steps=13)
+    played = list(rollout.play(Suggester(make_graph()), notice, lambda: False))
+    assert [(s.short, s.num_steps, s.truncated) for s in played] == [
+        (False, 5, False), (True, 2, True), (True, 2, True), (True, 2, True), (False, 2, False)
+    ]  # fmt: skip
+
+
 def test_a_learner_that_wants_none_has_the_short_one_left(
     make_graph: MakeGraph, make_notice: MakeNotice
 ) -> None:

@@ -92,6 +92,15 @@ class Falls(Count):
         return obs, info
 
 
+class Breaks(Count):
+    """From the second episode on, the reward of the third step is not a number."""
+
+    def reset(self, **how: Any) -> tuple[Obs, dict[str, Any]]:
+        obs, info = super().reset(**how)
+        self._nan_at = 2 if self._episode else -1
+        return obs, info
+
+
 class Spaces(Count):
     """Has the spaces it is told to have."""
 
@@ -144,6 +153,7 @@ _register("NanAlways", Count, nan_at=0)
 _register("NanFirst", Count, nan_at=2, nan_episodes=1)
 _register("Crash", Crash)
 _register("Falls", Falls)
+_register("Breaks", Breaks)
 _register("Reach", Reach)
 _register("DictObs", Spaces, obs=spaces.Dict({"a": _BOX}))
 _register("ImageObs", Spaces, obs=spaces.Box(0, 255, (8, 8, 3), np.uint8))
