@@ -182,6 +182,21 @@ _TABLES = REMOVED | {
 }
 
 
+# What runs did before there was a hyperparameter, where its default is something else.
+ADDED: dict[str, dict[str, object]] = {"off-policy": {"short_steps": 0}}
+
+
+def with_added(
+    given: Mapping[str, object], variant: str, valid: Collection[str]
+) -> dict[str, object]:
+    """Add later hyperparameters to a file that states all others: so was its run.
+
+    The arguments are those of `without_removed`.
+    """
+    added, missing = ADDED.get(variant, {}), set(valid) - given.keys()
+    return {**given, **added} if missing == added.keys() else {**given}
+
+
 def without_removed(
     given: Mapping[str, object], variant: str, valid: Collection[str]
 ) -> dict[str, object]:

@@ -20,7 +20,7 @@ from a2s.learner.on_policy import presets as on_policy_presets
 from a2s.learner.on_policy.authors_config import AuthorsConfig
 from a2s.learner.on_policy.config import OnPolicyConfig
 from a2s.learner.on_policy.presets import AnyOnPolicyConfig
-from a2s.learner.run.aliases import meant, option_meant, without_removed
+from a2s.learner.run.aliases import meant, option_meant, with_added, without_removed
 from a2s.learner.run.run_config import RunConfig, Variant
 from a2s.learner.settings import Preset
 from a2s.protocol.errors import UsageError, nearest
@@ -109,7 +109,8 @@ def off_policy(
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read the two tables of a configuration file; either may be missing or incomplete.
 
-    Hyperparameters that were removed are left out where their value changed nothing.
+    Hyperparameters that were removed are left out where their value changed nothing; a file that
+    states all but later ones is of a run from before them.
 
     Raises:
         UsageError: The file cannot be read, or has an unknown table or option, or
@@ -131,7 +132,8 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name in run:
         if name not in valid:
             raise UsageError(f"{path}: unknown option {name!r} in [run]{option_meant(name, valid)}")
-    return run, without_removed(hyper, *_remaining(run))
+    remaining = _remaining(run)
+    return run, with_added(without_removed(hyper, *remaining), *remaining)
 
 
 def require_known(path: Path, hyper: Mapping[str, object], variant: object, preset: object) -> None:
