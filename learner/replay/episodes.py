@@ -39,7 +39,7 @@ class StoredEpisodes:
     Attributes:
         about: Environment and capacity.
         left_out: Episodes met so far of which not all steps are there: the first ones are
-            evicted, some were lost, or it is not over yet.
+            evicted, some were lost, it is not over yet, or it was short and left before its end.
 
     Raises:
         RunDirectoryError: There is no replay, or it is damaged.

@@ -38,8 +38,9 @@ def export(path: Path, dataset_id: str, root: Path | None) -> dict[str, Any]:
 
     Returns:
         ``dataset``, ``path``, ``episodes``, ``steps``; ``left_out``, the number of episodes of
-        which not all steps are in the replay; and ``no_env_spec``, why the data set does not say
-        how to make its environment, ``None`` where it does.
+        which not all steps are in the replay, or that were left before their end; and
+        ``no_env_spec``, why the data set does not say how to make its environment, ``None`` where
+        it does.
 
     Raises:
         UsageError: Minari is not installed, the name is taken or malformed, ``root`` cannot hold

@@ -98,7 +98,8 @@ def export(
     r"""Write whole episodes as a Minari data set, for `minari.load_dataset`.
 
     Episodes of which not all steps are there are left out and counted: those whose beginning was
-    evicted, with a segment lost, or not over yet. Needs a2s\[minari].
+    evicted, with a segment lost, not over yet, or short and left before their end. Needs
+    a2s\[minari].
     """
     from a2s.commands.minari_export import export as write
     from a2s.learner.replay import directory
