@@ -129,9 +129,11 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
             raise UsageError(f"{path}: {table}: found {found!r}, expected a table [{table}]")
     run, hyper = document.get("run", {}), document.get("hyper", {})
     valid = set(RunConfig.about())
+    hyper_names = {*OnPolicyConfig.about(), *AuthorsConfig.about(), *OffPolicyConfig.about()}
     for name in run:
         if name not in valid:
-            raise UsageError(f"{path}: unknown option {name!r} in [run]{option_meant(name, valid)}")
+            hint = " (it belongs in [hyper])" if name in hyper_names else option_meant(name, valid)
+            raise UsageError(f"{path}: unknown option {name!r} in [run]{hint}")
     remaining = _remaining(run)
     return run, with_added(without_removed(hyper, *remaining), *remaining)
 
@@ -203,9 +205,11 @@ def _presets(variant: object) -> Mapping[str, Preset[Any]]:
 
 def _elsewhere(config: Hyper) -> dict[str, str]:
     """Where the hyperparameters are that a configuration does not have."""
+    without_option = {"checkpoint_every_updates": "in [run] of --config"}
     if isinstance(config, OffPolicyConfig):
-        return dict.fromkeys([*OnPolicyConfig.about(), *AuthorsConfig.about()], "on-policy")
-    found = dict.fromkeys(OffPolicyConfig.about(), "with --variant off-policy")
+        others = dict.fromkeys([*OnPolicyConfig.about(), *AuthorsConfig.about()], "on-policy")
+        return others | without_option
+    found = dict.fromkeys(OffPolicyConfig.about(), "with --variant off-policy") | without_option
     if isinstance(config, AuthorsConfig):
         return found | dict.fromkeys(OnPolicyConfig.about(), "with --preset modern")
     return found | dict.fromkeys(AuthorsConfig.about(), "with --preset authors or paper")

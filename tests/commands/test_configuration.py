@@ -153,6 +153,12 @@ def test_values_of_a_file_are_not_those_of_another_variant_or_preset(
             "bad.toml: unknown hyperparameter 'taus' in [hyper] (did you mean 'tau'?)",
         ),
         ("[run]\nn_envs = 4\n", "bad.toml: unknown option 'n_envs' in [run] (here it is 'envs')"),
+        ("[run]\ngamma = 0.9\n", "unknown option 'gamma' in [run] (it belongs in [hyper])"),
+        ("[run]\nshort_steps = 9\n", "'short_steps' in [run] (it belongs in [hyper])"),
+        (
+            "[hyper]\ncheckpoint_every_updates = 9\n",
+            "'checkpoint_every_updates' in [hyper] (only in [run] of --config)",
+        ),
         ("[hyper]\nn_steps = 4\n", "'n_steps' in [hyper] (here it is 'batch_steps')"),
         (
             "[run]\nvariant = 'off-policy'\n[hyper]\nn_steps = 4\n",
