@@ -39,8 +39,9 @@ def begin_with(trainer: Trainer, path: Path, configuration: Configuration) -> st
 
     if not (fits(_NORMALISER) and fits("policy")):
         raise UsageError(
-            f"--init-from: the policy of {path} does not fit: its observations, its actions or one "
-            f"of {', '.join(each for each in _SHAPED_BY['policy'] if each in ours)} are others"
+            f"--init-from: the policy of {path} ({other.run.env}) does not fit: its observations, "
+            f"its actions or one of {', '.join(e for e in _SHAPED_BY['policy'] if e in ours)} are "
+            f"others than those of this run ({configuration.run.env})"
         )
     taken = [name for name in present if fits(name)]
     trainer.begin_with((tensors, state["algorithm"]), taken)

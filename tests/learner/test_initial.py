@@ -110,8 +110,8 @@ def test_what_cannot_be_begun_with_is_refused_and_changes_nothing(
     path, _ = other
     ours = _on_policy(seed=2, obs_size=3)
     before = {name: tensor.clone() for name, tensor in ours.state()[0].items()}
-    with pytest.raises(UsageError, match=r"the policy of .* does not fit: its observations, its"):
-        begin_with(ours, path, _configuration())
+    with pytest.raises(UsageError, match=r"\(Hopper-v5\) does not fit: its .* \(Ant-v5\)"):
+        begin_with(ours, path, assemble({"env": "Ant-v5"}, {}))
     with pytest.raises(UsageError, match="does not fit"):  # as many numbers, in other layers
         begin_with(_on_policy(seed=2), path, _configuration(norm_obs="false"))
     with pytest.raises(UsageError, match="is on-policy, expected off-policy"):
