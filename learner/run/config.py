@@ -53,7 +53,7 @@ class Configuration:
         return {name: v for name, v in asdict(self.hyper).items() if v != preset[name]}
 
     def explain(self) -> str:
-        """Every value with its source, one a line, as TOML with comments."""
+        """Every value, hyperparameters with their sources, one a line, as TOML with comments."""
         changed, about = self.changed(), type(self.hyper).about()
         defaults = asdict(type(self.hyper)())
         source = _presets(self.run.variant)[self.run.preset].source

@@ -230,7 +230,8 @@ Lockstep = Annotated[bool | None, option(
     help="Use each version for one batch, reproducibly; or never let actors wait.",
 )]
 PrintConfig = Annotated[bool, option(
-    _ALGORITHM, "--print-config", help="Show every setting with its source, and do nothing else.",
+    _ALGORITHM, "--print-config",
+    help="Show every setting, hyperparameters with their sources, and do nothing else.",
 )]
 Mode = Annotated[str, option(
     _ALGORITHM, "--mode", metavar="mean|best-of-k|behaviour",
