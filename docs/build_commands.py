@@ -15,7 +15,9 @@ Made from the code by `make docs`; do not edit. `a2s COMMAND --help` says the sa
 
 - Every option of `a2s learner`, `a2s actor` and `a2s train`, also where another command has it, can
   be given by a variable: `--total-steps` by `A2S_TOTAL_STEPS`. The option comes first, then the
-  variable, then `--config`, then the default ([configuration](configuration.md)).
+  variable, then `--config`, then the default ([configuration](configuration.md)). For an option
+  that may be repeated it has the values with spaces between them, none in a value:
+  `A2S_SET='gamma=0.99 suggestions=3'`.
 - A number of steps may be written as `1e6`.
 - `--json` prints JSON as the last line of standard output, and all else elsewhere: an array in
   `a2s bench`, `compare` and `doctor`, an object in the others.
