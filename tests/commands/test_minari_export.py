@@ -20,7 +20,8 @@ from a2s.protocol.fields import Spaces
     [
         ("raise ValueError('no device')", "badly:X-v0", "ValueError: no device"),
         ("x = (", "badly:X-v0", "SyntaxError: '(' was never closed"),
-        ("", "./badly.py:X", "TypeError: the 'package' argument"),
+        ("", "./badly.py:X", "the run made it from a file, badly.py, which a spec does not keep"),
+        ("", "/tmp/badly.py:X", "the run made it from a file, badly.py"),
     ],
 )
 def test_a_module_that_cannot_be_imported_is_why_there_is_no_spec(

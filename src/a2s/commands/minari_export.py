@@ -130,15 +130,9 @@ def spec_of(env_id: str, made: EnvConfig | None = None) -> tuple[EnvSpec | None,
     Returns:
         The spec, and ``None``; or ``None``, and the reason why it cannot be written down.
     """
-    module, _, name = env_id.rpartition(":")
-    try:
-        if module:
-            importlib.import_module(module)
-        spec = copy.copy(gymnasium.spec(name))
-    except (gymnasium.error.Error, ImportError) as error:
-        return None, " ".join(str(error).split())
-    except Exception as error:  # noqa: BLE001  # whatever the module raises
-        return None, said_by(error)
+    spec, why = _registered(env_id)
+    if spec is None:
+        return None, why
     if made is not None:
         usual = EnvConfig(env_id=env_id)
         others = [each for each in _OUTSIDE if getattr(made, each) != getattr(usual, each)]
@@ -155,6 +149,21 @@ def spec_of(env_id: str, made: EnvConfig | None = None) -> tuple[EnvSpec | None,
     except (TypeError, ValueError):  # the latter for what can be called
         return None, "it was registered with objects that cannot be written down as text"
     return spec, None
+
+
+def _registered(env_id: str) -> tuple[EnvSpec | None, str | None]:
+    """A copy of what Gymnasium knows of it, and ``None``; or ``None``, and why it knows nothing."""
+    module, _, name = env_id.rpartition(":")
+    if module.endswith(".py"):
+        return None, f"the run made it from a file, {Path(module).name}, which a spec does not keep"
+    try:
+        if module:
+            importlib.import_module(module)
+        return copy.copy(gymnasium.spec(name)), None
+    except (gymnasium.error.Error, ImportError) as error:
+        return None, " ".join(str(error).split())
+    except Exception as error:  # noqa: BLE001  # whatever the module raises
+        return None, said_by(error)
 
 
 def _namespace_of(dataset_id: str) -> str | None:
