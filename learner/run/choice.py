@@ -7,7 +7,7 @@ from pathlib import Path
 from a2s.learner.run.directory import CONFIG, LOCK
 from a2s.protocol.errors import UsageError
 
-_LEDGER, _JOURNAL = "segments.log", "journal"
+_LEDGER, _JOURNAL, _REPLAY = "segments.log", "journal", "replay"
 _EMPTY = (LOCK, _LEDGER, f"{_JOURNAL}/00000000")
 
 
@@ -89,11 +89,13 @@ def require_config(path: Path, subject: str = "") -> None:
 def remove_traces(path: Path, *logs: str) -> None:
     """Remove a directory that would be mistaken for a run, if all in it is of a refused start.
 
-    That leaves empty files, and ``logs``. If anything else is there, nothing is touched.
+    That leaves empty files, a replay without a row, and ``logs``. If anything else is there,
+    nothing is touched.
     """
     if path.is_symlink() or not path.is_dir():
         return
-    found = [*(path / _JOURNAL).glob("*"), *path.iterdir()]  # files before their folder
+    inside = [each for folder in (_JOURNAL, _REPLAY) for each in (path / folder).glob("*")]
+    found = [*inside, *path.iterdir()]  # files before their folder
     if all(_is_trace(each, str(each.relative_to(path)), logs) for each in found):
         for each in found:
             each.rmdir() if each.is_dir() else each.unlink()
@@ -101,10 +103,18 @@ def remove_traces(path: Path, *logs: str) -> None:
 
 
 def _is_trace(path: Path, name: str, logs: Sequence[str]) -> bool:
-    if name == _JOURNAL:
+    if name in (_JOURNAL, _REPLAY):
         return path.is_dir() and not path.is_symlink()
+    if name.startswith(f"{_REPLAY}/"):
+        is_ours = path.name == LOCK or path.suffix in (".f32", ".json", ".log")
+        return is_ours and path.is_file() and _has_no_row(path.parent)
     is_empty = path.is_file() and not path.stat().st_size
     return (name in logs and path.is_file()) or (name in _EMPTY and is_empty)
+
+
+def _has_no_row(replay: Path) -> bool:
+    indexes = list(replay.glob("index-*.log"))
+    return bool(indexes) and not any(each.stat().st_size for each in indexes)
 
 
 def _learned_in(path: Path) -> str:

@@ -1,15 +1,20 @@
 """Which directory a run is kept in: no other run is lost in it, and no refused one left."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from threading import Barrier
 
+import numpy as np
 import pytest
+from segments import segment
 from typer.testing import CliRunner
 
 from a2s.cli import app
+from a2s.learner.replay import directory
 from a2s.learner.run.choice import choose, made, remove_traces
 from a2s.protocol.errors import UsageError
+from a2s.protocol.fields import Spaces
 
 
 def _made(path: Path) -> Path:
@@ -141,6 +146,22 @@ def test_of_a_refused_run_nothing_is_left(tmp_path: Path) -> None:
     remove_traces(path, "actors.log")
     remove_traces(tmp_path / "never")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_replay_is_left_only_where_a_row_or_something_else_is_in_it(tmp_path: Path) -> None:
+    bounds = np.ones(1, np.float32)
+    spaces = Spaces(obs_size=3, action_low=-bounds, action_high=bounds)
+    for name in ("unused", "noted", "used"):
+        path = _refused(tmp_path / name)
+        with closing(directory.create(path / "replay", "Pendulum-v1", spaces, 9)) as replay:
+            if name == "used":
+                replay.insert(segment(0, 5, obs_size=3, action_size=1))
+    (tmp_path / "noted" / "replay" / "notes").touch()
+    used = _files(tmp_path / "used") | _files(tmp_path / "noted")
+    for name in ("unused", "noted", "used"):
+        remove_traces(tmp_path / name)
+    assert _files(tmp_path / "used") | _files(tmp_path / "noted") == used
+    assert not (tmp_path / "unused").exists()
 
 
 @pytest.mark.parametrize(
