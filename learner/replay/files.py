@@ -219,8 +219,8 @@ def locked(path: Path, *, to_read: bool = False) -> Iterator[int]:
             fcntl.flock(file, kind | fcntl.LOCK_NB)
         except OSError:
             raise RunDirectoryError(
-                f"replay {path}: a learner writes to it; name its run, with --connect, instead, or "
-                "stop it first"
+                f"replay {path}: a learner writes to it; stop it first, or, to learn from it "
+                "meanwhile, a2s learner --replay-from NAME --connect ENDPOINT"
                 if to_read
                 else f"replay {path}: another learner writes to it, or learns from it; "
                 "stop that first"

@@ -242,7 +242,7 @@ def test_a_source_that_is_none_is_one_line(
         ("empty", "p", 1, "empty: holds no replay"),
         ("broken", "p", 2, "broken: cannot be read as a Minari data set ("),
         (stored, "empty", 2, "empty: is there already; name another with -o"),
-        (stored, "p", 1, "a learner writes to it; name its run, with --connect, instead, or stop"),
+        (stored, "p", 1, "a learner writes to it; stop it first, or, to learn from it meanwh"),
     ):
         found, _, error = a2s("replay", "import", source, "-o", output)
         assert (found, error.count("\n")) == (code, 1), error

@@ -63,7 +63,7 @@ def test_live_over_the_network_without_a_change_to_the_first(
     assert summary["updates"] == 300
     refused = start("learner", "--replay-from", "first", *options[:2])
     assert refused.process.wait(PATIENCE_S) == 1
-    assert "first/replay: a learner writes to it; name its run" in refused.text()
+    assert "first/replay: a learner writes to it; stop it first, or" in refused.text()
     assert first.end(signal.SIGINT) == 130
     events = [json.loads(x) for x in (tmp_path / "first/events.jsonl").read_text().splitlines()]
     assert [e["event"] for e in events if e["event"] in ("refusal", "leave")] == []

@@ -298,7 +298,7 @@ def test_one_learner_writes_or_readers_keep_learners_out(tmp_path: Path) -> None
     with opened(path) as replay:
         with pytest.raises(RunDirectoryError, match="another learner writes to it"):
             directory.open_existing(path)
-        said = "a learner writes to it; name its run, with --connect, instead"
+        said = "a learner writes to it; stop it first, or, .* a2s learner --replay-from NAME --"
         with pytest.raises(RunDirectoryError, match=said):
             directory.look_at(path, alone=True)
         looking = directory.look_at(path)
