@@ -216,9 +216,14 @@ def _elsewhere(config: Hyper) -> dict[str, str]:
 
 
 def _preset(presets: Mapping[str, P], name: str) -> P:
-    if name not in presets:
-        raise UsageError(f"unknown preset {name!r}{nearest(name, presets)}")
-    return presets[name]
+    if name in presets:
+        return presets[name]
+    hint = nearest(name, presets)
+    if name in off_policy_config.PRESETS:
+        hint = " (only with --variant off-policy)"
+    elif name in on_policy_presets.PRESETS:
+        hint = " (only on-policy)"
+    raise UsageError(f"unknown preset {name!r}{hint}")
 
 
 def _require_names(config: Hyper, names: Iterable[str], file: str = "", table: str = "") -> None:

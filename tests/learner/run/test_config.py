@@ -135,6 +135,13 @@ def test_the_authors_have_few_settings() -> None:
         on_policy("paper", "a2s", {"fit_steps": 50})
 
 
+def test_a_preset_of_the_other_variant_names_that() -> None:
+    with pytest.raises(UsageError, match=r"'sac' \(only with --variant off-policy\)"):
+        on_policy("sac", "a2s", {})
+    with pytest.raises(UsageError, match=r"'authors' \(only on-policy\)"):
+        off_policy("authors", {})
+
+
 def test_an_unknown_preset_names_the_nearest() -> None:
     """As for hyperparameters."""
     with pytest.raises(UsageError, match=r"unknown preset 'moden' \(did you mean 'modern'\?\)"):
