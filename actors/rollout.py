@@ -58,12 +58,12 @@ class _Slot:
 
         As many are owed as a whole one has taken that had more than ``short_steps``.
         """
-        if self.is_short:
+        if short_steps == 0:
+            self.owed_steps = 0
+        elif self.is_short:
             self.owed_steps -= self.episode_length
         elif short_steps < self.episode_length:
             self.owed_steps = self.episode_length
-        if short_steps == 0:
-            self.owed_steps = 0
         self.begin_episode()
 
     def is_endless(self) -> bool:

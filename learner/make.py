@@ -271,9 +271,8 @@ def _connect(
 ) -> Server:
     """Make the feed that actors find on the bus; it answers once it is opened."""
     lag, suggestion = store.max_policy_lag, store.max_suggestion
-    short_steps = store.short_steps if isinstance(store, OwnReplay) else 0
     limit = episode_limit or 0
-    admission = Admission(run, spaces, generation, lag, suggestion, limit, short_steps)
+    admission = Admission(run, spaces, generation, lag, suggestion, limit, store.short_steps)
     ingest = Ingest(admission, ledger, metrics, on_event, store, journal, left_over)
     keys = Keys(run.run)
     if isinstance(store, OwnReplay):

@@ -39,6 +39,7 @@ class OnPolicyTrainer:
 
     columns = COLUMNS
     max_suggestion = MAX_SUGGESTED
+    short_steps = 0
 
     def __init__(
         self,

@@ -19,10 +19,12 @@ class Store(Protocol):
     Attributes:
         max_policy_lag: Versions that a segment may be behind; ``None``: any number.
         max_suggestion: Largest absolute value in a suggestion.
+        short_steps: Steps of the short episodes that are wanted (docs/adr/0038); 0: none.
     """
 
     max_policy_lag: int | None
     max_suggestion: float
+    short_steps: int
 
     def quota(self, num_envs: int) -> Quota:
         """The next quota of ``num_envs`` environments."""

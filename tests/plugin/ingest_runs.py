@@ -27,6 +27,7 @@ class IngestRun:
 
     max_policy_lag: int | None = None
     max_suggestion = 1.0
+    short_steps = 0
 
     def __init__(
         self,

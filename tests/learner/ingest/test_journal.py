@@ -36,6 +36,7 @@ class _Store:
 
     max_policy_lag: int | None = None
     max_suggestion = 1.0
+    short_steps = 0
 
     def __init__(self) -> None:
         self.told: list[object] = []
