@@ -18,8 +18,8 @@ def _set(**options: object) -> tuple[str, ...]:
 
 
 def _off(**options: object) -> tuple[str, ...]:
-    """Off-policy A2S of before short episodes, with something else than its default."""
-    return (*_OFF, *_set(short_steps=0, **options))
+    """Off-policy A2S of before ADR 38 and 39, with something else than its default."""
+    return (*_OFF, *_set(short_steps=0, policy_every=1, **options))
 
 
 def _a2c(**options: object) -> tuple[str, ...]:

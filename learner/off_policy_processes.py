@@ -9,8 +9,9 @@ from torch import Tensor
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.noise import Noise
+from a2s.learner.off_policy.stats import OffPolicyStats
 from a2s.learner.off_policy.transitions import Transitions
-from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
+from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.processes import END, Processes
 from a2s.protocol.errors import UsageError
 
@@ -54,13 +55,15 @@ class Leading(OffPolicy):
         self._processes.tell("observe_returns", returns)
         super().observe_returns(returns)
 
-    def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:
+    def update(
+        self, batch: Transitions, noise: Noise | None = None, *, learns_policy: bool = True
+    ) -> OffPolicyStats:
         """In all processes, which draw the same noise."""
         if noise is not None:
             raise ValueError("found noise, expected none: each process draws it")
         rows = [each.unsqueeze(1) if each.dim() == 1 else each for each in batch]
-        self._processes.tell("update", torch.cat(rows, 1))
-        return super().update(batch)
+        self._processes.tell("update", torch.cat(rows, 1), learns_policy=learns_policy)
+        return super().update(batch, learns_policy=learns_policy)
 
     def all_critics(self) -> Ensemble:
         """From all processes."""
@@ -104,7 +107,7 @@ def follow(processes: Processes) -> None:
     algorithm = OffPolicy(**made.about, hyper=hyper, peers=processes)
     while (call := processes.hear()).name != END:
         if call.name == "update":
-            algorithm.update(_rows(call.tensors[0], algorithm))
+            algorithm.update(_rows(call.tensors[0], algorithm), **call.about)
         elif "names" in call.about:
             named = dict(zip(call.about.pop("names"), call.tensors, strict=True))
             getattr(algorithm, call.name)(named, **call.about)

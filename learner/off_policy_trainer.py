@@ -12,8 +12,9 @@ from torch import Tensor
 from a2s.learner.export.off_policy import export
 from a2s.learner.off_policy.config import OffPolicyConfig
 from a2s.learner.off_policy.recorded_update import update_of
+from a2s.learner.off_policy.stats import SHOWN, OffPolicyStats, RoundMeans
 from a2s.learner.off_policy.transitions import Transitions
-from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
+from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.prior import Prior
 from a2s.learner.replay import sampling
 from a2s.learner.replay.remote import RemoteReplay
@@ -26,8 +27,6 @@ from a2s.protocol.fields import Array, Spaces
 from a2s.protocol.replay_messages import MAX_STEPS
 
 _RETURNS_EVERY_UPDATES = 20
-SHOWN = tuple(name for name in OffPolicyStats._fields if name != "error")
-
 
 AnyReplay = Replay | RemoteReplay
 
@@ -134,6 +133,7 @@ class OffPolicyTrainer:
         self._bounds = torch.tensor(spaces.action_low), torch.tensor(spaces.action_high)
         self._update = update_of(algorithm)
         self._updates, self._knows = updates, knows
+        metrics.count_gradient_steps(updates, updates // algorithm.hyper.policy_every)
         self.columns = (*source.columns, *SHOWN)
 
     @property
@@ -157,17 +157,15 @@ class OffPolicyTrainer:
         if len(new_obs):
             self._algorithm.observe(torch.from_numpy(new_obs))
         means, update_s = RoundMeans(), math.inf
-        while self._source.may_update(self._updates, means.count):
+        while self._source.may_update(self._updates, means.updates):
             begin_s = time.monotonic()
             means.add(self._learn_once())
             update_s = min(update_s, time.monotonic() - begin_s)
         self._require_finite()
-        row: dict[str, object] = dict.fromkeys(SHOWN)
-        if means.count:
-            shown = means.means()
-            self._metrics.show_off_policy(shown, means.count)
-            row |= shown
-        return Outcome(row | dict(self._source.end_round(means.count, update_s)))
+        row = means.means()
+        if means.updates:
+            self._metrics.show_off_policy(row, means.counts)
+        return Outcome(row | dict(self._source.end_round(means.updates, update_s)))
 
     def begin_with(self, saved: Saved, taken: Sequence[str]) -> None:
         """Take parts of another run's state; actors then play them from the beginning."""
@@ -199,29 +197,8 @@ class OffPolicyTrainer:
             self._algorithm.observe_returns(torch.from_numpy(returns))
         drawn = self._source.draw(self._updates)
         tensors = (torch.from_numpy(getattr(drawn, name)) for name in Transitions._fields)
-        stats = self._update(Transitions(*tensors))
-        self._source.learned(drawn.row, stats.error)
         self._updates += 1
+        every = self._algorithm.hyper.policy_every
+        stats = self._update(Transitions(*tensors), learns_policy=self._updates % every == 0)
+        self._source.learned(drawn.row, stats.error)
         return stats
-
-
-class RoundMeans:
-    """Means over the updates of a round, added up without waiting for the device.
-
-    Attributes:
-        count: Updates so far.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._total: Tensor | float = 0.0
-
-    def add(self, stats: OffPolicyStats) -> None:
-        """Take an update into account."""
-        self._total = self._total + torch.stack([getattr(stats, name) for name in SHOWN])
-        self.count += 1
-
-    def means(self) -> dict[str, float]:
-        """By the names of `OffPolicyStats`; there was at least one update."""
-        assert isinstance(self._total, Tensor)
-        return dict(zip(SHOWN, (self._total / self.count).tolist(), strict=True))

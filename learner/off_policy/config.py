@@ -171,6 +171,13 @@ class OffPolicyConfig(Settings):
     critic_learning_rate: float = setting(
         0.001, "Of Adam on the critics", _CROSSQ_PAPER, low=1e-12, high=1000
     )
+    policy_every: int = setting(
+        2,
+        "In every so many updates of the critics policy and temperature learn too",
+        "TD3 (Fujimoto et al. 2018); docs/adr/0039",
+        low=1,
+        high=10**6,
+    )
     warm_up_steps: int = setting(
         5000,
         "Random steps before the first update, at most a tenth of a run",
@@ -243,6 +250,7 @@ _SAC = replace(
     average_updates=0,  # SAC (Haarnoja et al. 2018), table 1
     gamma=0.99,  # SAC (Haarnoja et al. 2018), table 1
     tau=0.005,  # SAC (Haarnoja et al. 2018), table 1
+    policy_every=1,  # SAC (Haarnoja et al. 2018), table 1
     short_steps=0,  # SAC (Haarnoja et al. 2018), table 1
 )
 _PAPER = replace(
@@ -266,6 +274,7 @@ _PAPER = replace(
     average_updates=0,  # paper, algorithm 2
     gamma=0.97,  # paper, table 3
     tau=1.0,  # paper, algorithm 2: no target network
+    policy_every=1,  # paper, algorithm 2
     short_steps=0,  # paper, algorithm 2
     warm_up_steps=1000,  # the box has none; an untrained Q prefers one direction
 )

@@ -5,19 +5,22 @@ running them; a recorded update is started as one (a CUDA graph).
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import Protocol
 
 import torch
-from torch import Tensor
 
+from a2s.learner.off_policy.noise import Noise
+from a2s.learner.off_policy.stats import OffPolicyStats
 from a2s.learner.off_policy.transitions import Transitions
-from a2s.learner.off_policy.update import OffPolicy, OffPolicyStats
+from a2s.learner.off_policy.update import OffPolicy
 
 Update = Callable[[], OffPolicyStats]
 _WARM_UPS = 3
 
 
 class RecordedUpdate:
-    """`OffPolicy.update`, recorded at its first call and repeated at every other.
+    """`OffPolicy.update`, recorded at its first call of each kind and repeated at every other.
 
     The numbers are those of `OffPolicy.update`. Those returned are overwritten by the next call.
     ``record`` is given the update, may run it any number of times, and returns a function that
@@ -27,26 +30,37 @@ class RecordedUpdate:
     def __init__(self, algorithm: OffPolicy, record: Callable[[Update], Update]) -> None:
         self._algorithm = algorithm
         self._record = record
-        self._places: list[Tensor] = []
-        self._repeat: Update | None = None
+        self._places: tuple[Transitions, Noise] | None = None
+        self._repeats: dict[bool, Update] = {}
 
-    def __call__(self, batch: Transitions) -> OffPolicyStats:
+    def __call__(self, batch: Transitions, *, learns_policy: bool = True) -> OffPolicyStats:
         """Learn from a batch; its size is always the same."""
-        noise = self._algorithm.draw_noise(len(batch.obs))
-        if self._repeat is None:
+        given = batch, self._algorithm.draw_noise(len(batch.obs))
+        if self._places is None:
             device = self._algorithm.device
             batch = Transitions(*(each.to(device, copy=True) for each in batch))
-            self._places = [*batch, *noise]
-            before = self._algorithm.state()
-            self._repeat = self._record(lambda: self._algorithm.update(batch, noise))
-            self._algorithm.load(before)
+            self._places = batch, given[1]
         else:
-            for place, new in zip(self._places, [*batch, *noise], strict=True):
-                place.copy_(new, non_blocking=True)
-        return self._repeat()
+            for places, news in zip(self._places, given, strict=True):
+                for place, new in zip(places, news, strict=True):
+                    place.copy_(new, non_blocking=True)
+        if learns_policy not in self._repeats:
+            update = partial(self._algorithm.update, *self._places, learns_policy=learns_policy)
+            before = self._algorithm.state()
+            self._repeats[learns_policy] = self._record(update)
+            self._algorithm.load(before)
+        return self._repeats[learns_policy]()
 
 
-def update_of(algorithm: OffPolicy) -> Callable[[Transitions], OffPolicyStats]:
+class Updating(Protocol):
+    """A way to learn from a batch."""
+
+    def __call__(self, batch: Transitions, *, learns_policy: bool) -> OffPolicyStats:
+        """As `OffPolicy.update` does."""
+        ...
+
+
+def update_of(algorithm: OffPolicy) -> Updating:
     """Choose the way to update by device: recorded on a GPU, directly elsewhere."""
     if algorithm.device.type == "cuda":
         return RecordedUpdate(algorithm, record_cuda)

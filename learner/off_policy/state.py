@@ -82,7 +82,7 @@ class TrainState:
         It reaches back over a tenth of the updates so far, so that the first ones do not last.
         """
         if self.average is not self.policy:
-            reach = (self.adam["policy"].steps / 10.0).clamp(1.0, self._average_updates)
+            reach = (self.adam["critics"].steps / 10.0).clamp(1.0, self._average_updates)
             self.average.value.lerp_(self.policy.value, 1.0 / reach)
 
     def is_finite(self) -> bool:

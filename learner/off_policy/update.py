@@ -7,7 +7,6 @@ Source: equations 7, 8 and algorithm 2 of the paper.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -32,30 +31,9 @@ from a2s.learner.off_policy.squashed import (
     gaussian,
 )
 from a2s.learner.off_policy.state import TrainState
+from a2s.learner.off_policy.stats import OffPolicyStats
 from a2s.learner.off_policy.targets import backup, evaluate, pick_best
 from a2s.learner.off_policy.transitions import Transitions
-
-
-class OffPolicyStats(NamedTuple):
-    """Numbers of one update, still on the device.
-
-    Attributes:
-        q_loss: Of the critics, summed over them, in units of `ReturnSize`, ``[]``.
-        policy_loss: Of the policy gradient, in the same units, ``[]``.
-        q_mean: Mean of the critics on the batch before the update, in returns, ``[]``.
-        target_mean: Mean of the targets, in returns, ``[]``.
-        entropy: Of the policy, estimated from one suggestion a state, nats, ``[]``.
-        temperature: Weight of the entropy after the update, in returns, ``[]``.
-        error: Absolute error of every row, in returns, for priorities, ``[B]``.
-    """
-
-    q_loss: Tensor
-    policy_loss: Tensor
-    q_mean: Tensor
-    target_mean: Tensor
-    entropy: Tensor
-    temperature: Tensor
-    error: Tensor
 
 
 class OffPolicy:
@@ -70,9 +48,9 @@ class OffPolicy:
             stats = algorithm.update(replay.sample())
             replay.prioritise(stats.error)
 
-    An update copies nothing to the host, and has the same shapes every time. ``seed`` is for the
-    first weights and every random choice. ``peers`` have the other critics: what is asked of this
-    object is then asked of theirs alike, and at the same time.
+    An update copies nothing to the host, and has the same shapes every time that the policy learns,
+    or does not. ``seed`` is for the first weights and every random choice. ``peers`` have the other
+    critics: what is asked of this object is then asked of theirs alike, and at the same time.
     """
 
     def __init__(
@@ -138,34 +116,34 @@ class OffPolicy:
         )
 
     @torch.no_grad()
-    def update(self, batch: Transitions, noise: Noise | None = None) -> OffPolicyStats:
-        """Learn from a batch on the device; noise is drawn here when not given."""
+    def update(
+        self, batch: Transitions, noise: Noise | None = None, *, learns_policy: bool = True
+    ) -> OffPolicyStats:
+        """Learn from a batch on the device; noise is drawn here when not given.
+
+        Without ``learns_policy`` policy and temperature stay as they are.
+        """
         if noise is None:
             noise = self.draw_noise(len(batch.obs))
         state = self.train_state
         return_size = state.return_size()
         batch = batch._replace(reward=batch.reward / return_size)
         obs, next_obs = state.normaliser(torch.stack((batch.obs, batch.next_obs)))
-        output, tape = state.policy.trace(obs)
-        policy = gaussian(output[0])
-        drawn = draw(policy, noise.suggestion)
         temperature = state.log_temperature.exp()
-        self._learn_temperature(drawn.log_prob)
         target = self._target(batch, next_obs, noise, temperature)
         fit, q_mean = self._learn_critics(obs, batch, target)
-        moved = self._policy_step(obs, policy, drawn, noise, temperature)
-        state.policy.differentiate(tape, moved.grad.unsqueeze(0))
-        state.adam["policy"].step(state.policy.grad, self.hyper.learning_rate)
-        state.policy.refresh()
+        policy_loss = entropy = None
+        if learns_policy:
+            policy_loss, entropy = self._learn_policy(obs, noise, temperature)
         state.update_average()
         state.targets.value.lerp_(state.critics.value, self.hyper.tau)
         state.targets.refresh()
         return OffPolicyStats(
             q_loss=fit.loss,
-            policy_loss=moved.loss,
+            policy_loss=policy_loss,
             q_mean=q_mean * return_size,
             target_mean=target.mean() * return_size,
-            entropy=-drawn.log_prob.mean(),
+            entropy=entropy,
             temperature=state.log_temperature.exp() * return_size,
             error=fit.error * return_size,
         )
@@ -254,6 +232,24 @@ class OffPolicy:
         self.train_state.adam["critics"].step(critics.grad, self.hyper.critic_learning_rate)
         critics.refresh()
         return fit, q_value.mean()
+
+    def _learn_policy(
+        self, obs: Tensor, noise: Noise, temperature: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Improve the policy by the learned critics, and learn the temperature: loss and entropy.
+
+        The temperature is what it was before.
+        """
+        state = self.train_state
+        output, tape = state.policy.trace(obs)
+        policy = gaussian(output[0])
+        drawn = draw(policy, noise.suggestion)
+        self._learn_temperature(drawn.log_prob)
+        moved = self._policy_step(obs, policy, drawn, noise, temperature)
+        state.policy.differentiate(tape, moved.grad.unsqueeze(0))
+        state.adam["policy"].step(state.policy.grad, self.hyper.learning_rate)
+        state.policy.refresh()
+        return moved.loss, -drawn.log_prob.mean()
 
     def _policy_step(
         self, obs: Tensor, policy: Gaussian, drawn: Drawn, noise: Noise, temperature: Tensor

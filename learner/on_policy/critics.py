@@ -135,8 +135,8 @@ def q_fit(
 
     The loss is the cross-entropy, nats.
     """
-    chance = categorical.spread(target).numpy()
-    order = torch.randint(len(target), (steps * minibatch,), generator=generator).numpy()
+    drawn = torch.randint(len(target), (steps * minibatch,), generator=generator)
+    chance, order = categorical.spread(target[drawn]).numpy(), drawn.numpy()
     ends, before = bounds(len(order), steps), int(optimiser.steps)
     calls = [
         partial(

@@ -70,7 +70,10 @@ def q_pass(
     net: Any, inputs: Array, chance: Array, order: Array, bounds: Array, step: int,
     learning_rate: float,
 ) -> Any:  # fmt: skip
-    """Steps down the cross-entropy of a network of silu: ``[N, in]`` and chances ``[N, BINS]``."""
+    """Steps down the cross-entropy of a network of silu to the chances of every row of ``order``.
+
+    Inputs are ``[N, in]``, chances ``[len(order), BINS]``.
+    """
     value, grad, first, second, layout = net
     room, total = _largest(bounds), 0.0
     mem, some = memory(layout, room), np.empty((room, inputs.shape[1]), _F)
@@ -78,7 +81,7 @@ def q_pass(
         rows = order[bounds[i] : bounds[i + 1]]
         x = gather(inputs, rows, some)
         out = forward(value, layout, x, mem)
-        total += cross_entropy(out, chance, rows)
+        total += cross_entropy(out, chance[bounds[i] : bounds[i + 1]])
         backward(value, grad, layout, x, mem, out)
         adam_of_layers(value, grad, first, second, layout, step + i + 1, learning_rate)
     return total
@@ -155,12 +158,12 @@ def clipped_loss(log_prob: float, old_log_prob: float, worth: float, clip_ratio:
 
 
 @compiled  # type: ignore[untyped-decorator]
-def cross_entropy(logits: Array, chance: Array, rows: Array) -> Any:
-    """Mean over M rows, whose chances have these numbers; logits become the gradient by them."""
-    part, total = _ONE / _F(len(rows)), 0.0
-    size = logits.shape[1]
-    for n in range(len(rows)):
-        row, likely = logits[n], chance[rows[n]]
+def cross_entropy(logits: Array, chance: Array) -> Any:
+    """Mean over M rows to their chances, ``[M, BINS]`` both; logits become the gradient by them."""
+    rows, size = logits.shape
+    part, total = _ONE / _F(rows), 0.0
+    for n in range(rows):
+        row, likely = logits[n], chance[n]
         most = _most(row)
         along = _ZERO
         for j in range(size):
@@ -168,9 +171,9 @@ def cross_entropy(logits: Array, chance: Array, rows: Array) -> Any:
         for j in range(size):
             along += likely[j] * row[j]
         total -= float(along)
-    softened = exp_of(logits.reshape(len(rows) * size)).reshape(len(rows), size)
-    for n in range(len(rows)):
-        row, likely, soft = logits[n], chance[rows[n]], softened[n]
+    softened = exp_of(logits.reshape(rows * size)).reshape(rows, size)
+    for n in range(rows):
+        row, likely, soft = logits[n], chance[n], softened[n]
         whole = _ZERO
         for j in range(size):
             whole += soft[j]
@@ -178,7 +181,7 @@ def cross_entropy(logits: Array, chance: Array, rows: Array) -> Any:
         scale = part / whole
         for j in range(size):
             row[j] = soft[j] * scale - likely[j] * part
-    return total / len(rows)
+    return total / rows
 
 
 @compiled  # type: ignore[untyped-decorator]

@@ -58,6 +58,8 @@ OFF_POLICY = _EITHER | {
     "max_replay_size": "replay_rows",
     "learning_starts": "warm_up_steps",
     "start_training": "warm_up_steps",
+    "policy_delay": "policy_every",
+    "policy_frequency": "policy_every",
     "min_replay_size": "warm_up_steps",
     "batch_size": "batch_rows",
     "gradient_steps": "utd_ratio",
@@ -183,7 +185,7 @@ _TABLES = REMOVED | {
 
 
 # What runs did before there was a hyperparameter, where its default is something else.
-ADDED: dict[str, dict[str, object]] = {"off-policy": {"short_steps": 0}}
+ADDED: dict[str, dict[str, object]] = {"off-policy": {"policy_every": 1, "short_steps": 0}}
 
 
 def with_added(

@@ -213,15 +213,20 @@ class LearnerMetrics:
             best = stats.recovery.r_best
             self.recovery_best.set(stats.recovery.r if best is None else best)
 
-    def show_off_policy(self, row: Mapping[str, float], gradient_steps: int) -> None:
-        """Show the means over the updates of a round, and the number of these."""
+    def show_off_policy(self, row: Mapping[str, float | None], counts: Mapping[str, int]) -> None:
+        """Show the means over the updates of a round, and how many had each number."""
         self.updates.inc()
-        for network in ("q", "policy"):
-            self.gradient_steps.labels(network=network).inc(gradient_steps)
-            self.loss.labels(loss=network).set(row[f"{network}_loss"])
-        self.entropy.set(row["entropy"])
-        self.temperature.set(row["temperature"])
-        self.q_mean.set(row["q_mean"])
+        self.count_gradient_steps(counts["q_loss"], counts["policy_loss"])
+        gauges = {"entropy": self.entropy, "temperature": self.temperature, "q_mean": self.q_mean}
+        losses = {f"{network}_loss": self.loss.labels(loss=network) for network in ("q", "policy")}
+        for name, gauge in (gauges | losses).items():
+            if (value := row[name]) is not None:
+                gauge.set(value)
+
+    def count_gradient_steps(self, q: int, policy: int) -> None:
+        """Count gradient steps of each critic, and of the policy."""
+        self.gradient_steps.labels(network="q").inc(q)
+        self.gradient_steps.labels(network="policy").inc(policy)
 
     def show_episodes(self, episodes: EpisodeStats) -> None:
         """Show the latest episodes."""
@@ -245,9 +250,6 @@ class LearnerMetrics:
     def go_on(self, status: Status) -> None:
         """Count from where a run was; its steps are counted by the ledger."""
         self.updates.inc(status.rows)
-        if status.run.variant == "off-policy":
-            for network in ("q", "policy"):
-                self.gradient_steps.labels(network=network).inc(status.updates)
         self.episodes.inc(status.episodes.count)
         self.recoveries.inc(status.num_recoveries)
         self.show_episodes(status.episodes)

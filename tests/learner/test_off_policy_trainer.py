@@ -103,6 +103,22 @@ def test_updates_follow_the_steps_played(make: Learn) -> None:
     assert run.trainer.updates == 40  # 40 steps came, but actors are to have new weights
 
 
+@pytest.mark.parametrize(("every", "learned"), [(1, 15), (2, 7), (4, 3)])
+def test_the_policy_learns_in_every_so_many_updates(
+    make: Learn, tmp_path: Path, every: int, learned: int
+) -> None:
+    """Counted over rounds of ten and five, and over a resume between them."""
+    run = make(policy_every=every)
+    run.play(0, 4, tmp_path / "run")
+    saved = run.trainer.state()
+    run.trainer.close()
+    again = make(policy_every=every, saved=saved)
+    again.play(4, 1)
+    tensors, numbers = again.trainer.state()
+    assert numbers["updates"] == float(tensors["adam.critics.steps"]) == 15
+    assert float(tensors["adam.policy.steps"]) == learned
+
+
 def test_updates_are_due_for_the_steps_of_a_batch(make: Learn) -> None:
     """What is stored since, as during a round, counts in the next: never more than one a step."""
     run = make()

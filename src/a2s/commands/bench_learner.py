@@ -91,9 +91,12 @@ def _ours(preset: str, options: dict[str, object]) -> Callable[[], None]:
     algorithm.observe(stored.obs)
 
     def update() -> None:
-        for _ in range(UPDATES):
+        for number in range(UPDATES):
             rows = torch.randint(STORED, (BATCH,))
-            algorithm.update(Transitions(*(each[rows] for each in stored)))
+            algorithm.update(
+                Transitions(*(each[rows] for each in stored)),
+                learns_policy=number % algorithm.hyper.policy_every == 0,
+            )
 
     return update
 

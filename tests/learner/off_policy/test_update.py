@@ -10,6 +10,7 @@ from plain_sac import PlainSac, modules
 from a2s.learner.networks.ensemble import Ensemble
 from a2s.learner.off_policy.config import PRESETS
 from a2s.learner.off_policy.noise import Noise, draw_noise
+from a2s.learner.off_policy.stats import RoundMeans
 from a2s.learner.off_policy.transitions import Transitions
 from a2s.learner.off_policy.update import OffPolicy
 from a2s.learner.run.config import off_policy
@@ -81,6 +82,7 @@ def compare_to_plain_sac(algorithm: OffPolicy, updates: int, near: float) -> Non
         noise = noise_of(algorithm, number)
         ours = algorithm.update(batch(number), noise)
         theirs = plain.update(batch(number), noise.suggestion, noise.target[0, :, 0])
+        assert ours.policy_loss is not None
         found = [float(each) for each in (ours.q_loss, ours.policy_loss, ours.temperature)]
         assert found == pytest.approx(list(theirs), rel=near, abs=near)
     learned = algorithm.train_state
@@ -89,6 +91,33 @@ def compare_to_plain_sac(algorithm: OffPolicy, updates: int, near: float) -> Non
         for mine, yours in zip(modules(ensemble), nets, strict=True):
             for one, other in zip(mine.parameters(), yours.parameters(), strict=True):
                 torch.testing.assert_close(one, other, rtol=near, atol=near)
+
+
+def test_an_update_without_the_policy_is_one_of_the_critics_alone() -> None:
+    """Policy and temperature stay, to the bit; the critics learn as beside them."""
+    one, other = make("modern"), make("modern")
+    before = one.state()
+    with_policy, without = one.update(batch(0)), other.update(batch(0), learns_policy=False)
+    changed = {name for name, each in other.state().items() if not torch.equal(each, before[name])}
+    critics = {name for name in before if "critics" in name or name == "targets"}
+    assert changed == critics | {"generator.noise"}
+    assert all(torch.equal(one.state()[name], other.state()[name]) for name in changed)
+    assert torch.equal(with_policy.error, without.error)
+    assert without.policy_loss is without.entropy is None
+
+
+def test_means_of_a_round_are_over_the_updates_that_had_a_number() -> None:
+    """Of three updates two had the policy learn; a round of none has no mean."""
+    algorithm, means = make("modern"), RoundMeans()
+    assert set(means.means().values()) == {None}
+    all_of = [algorithm.update(batch(n), learns_policy=n != 1) for n in range(3)]
+    for each in all_of:
+        means.add(each)
+    entropy = [float(each.entropy) for each in all_of if each.entropy is not None]
+    assert (means.updates, means.counts["entropy"], len(entropy)) == (3, 2, 2)
+    found = means.means()
+    assert found["entropy"] == pytest.approx(sum(entropy) / 2)
+    assert found["q_loss"] == pytest.approx(sum(float(each.q_loss) for each in all_of) / 3)
 
 
 @pytest.mark.parametrize("quantiles", [1, 5])

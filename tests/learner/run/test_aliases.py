@@ -105,12 +105,12 @@ def test_a_file_may_have_what_is_gone_where_it_changed_nothing(tmp_path: Path) -
     }  # fmt: skip
 
 
-def test_a_whole_file_of_before_short_episodes_goes_on_without_them(tmp_path: Path) -> None:
-    """Who names a few values has the others as they are now."""
+def test_a_whole_file_of_before_a_setting_goes_on_without_it(tmp_path: Path) -> None:
+    """Short episodes, a policy that learns less often; who names a few values has the newest."""
     file, written = tmp_path / "config.toml", assemble({"variant": "off-policy"}, {}).to_toml()
     file.write_text(written)
     assert read(file)[1]["short_steps"] == 200
-    file.write_text(written.replace("short_steps = 200\n", ""))
-    assert assemble(*read(file)).changed() == {"short_steps": 0}
+    file.write_text(written.replace("short_steps = 200\n", "").replace("policy_every = 2\n", ""))
+    assert assemble(*read(file)).changed() == {"short_steps": 0, "policy_every": 1}
     file.write_text("[run]\nvariant = 'off-policy'\n[hyper]\ntau = 0.5\n")
     assert assemble(*read(file)).changed() == {"tau": 0.5}

@@ -180,7 +180,7 @@ def test_sac_is_modern_with_one_suggestion_one_value_and_plain_networks() -> Non
     differ = {name for name, value in asdict(sac).items() if value != getattr(modern, name)}
     assert differ == {
         "act_suggestions", "num_quantiles", "quantiles_to_drop", "network", "tau",
-        "average_updates", "short_steps",
+        "average_updates", "short_steps", "policy_every",
         "selection", "norm_return", "kappa", "initial_temperature",
         "temperature_learning_rate", "gamma",
     }  # fmt: skip

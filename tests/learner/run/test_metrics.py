@@ -1,5 +1,7 @@
 """The learner's metrics: what they count after a resume, and who is there."""
 
+from collections import Counter
+
 from a2s.learner.ingest.members import Member
 from a2s.learner.run.limits import Shares
 from a2s.learner.run.metrics import LearnerMetrics
@@ -21,12 +23,20 @@ def test_a_resumed_run_counts_from_where_it_was() -> None:
     assert _value(metrics, "episode_return_mean") == 2.0
 
 
-def test_off_policy_gradient_steps_go_on_as_well() -> None:
-    """Several in each round."""
-    metrics, run = LearnerMetrics(), RunConfig(variant="off-policy", clock="async")
-    metrics.go_on(Status(run, rows=3, updates=90))
-    counted = [_value(metrics, "gradient_steps_total", network=n) for n in ("q", "policy")]
-    assert (counted, _value(metrics, "updates_total")) == ([90.0, 90.0], 3.0)
+def test_what_no_update_of_a_round_had_stays_as_it_was() -> None:
+    """Of three updates one had the policy learn; of the next round's two none."""
+    metrics = LearnerMetrics()
+    row: dict[str, float | None] = dict.fromkeys(
+        ("q_loss", "policy_loss", "entropy", "temperature", "q_mean"), 2.0
+    )
+    metrics.show_off_policy(row, {"q_loss": 3, "policy_loss": 1})
+    metrics.show_off_policy(
+        {**row, "q_loss": 4.0, "policy_loss": None, "entropy": None}, Counter(q_loss=2)
+    )
+    steps = [_value(metrics, "gradient_steps_total", network=n) for n in ("q", "policy")]
+    losses = [_value(metrics, "loss", loss=n) for n in ("q", "policy")]
+    assert (steps, losses) == ([5.0, 1.0], [4.0, 2.0])
+    assert (_value(metrics, "updates_total"), _value(metrics, "entropy")) == (2.0, 2.0)
 
 
 def test_what_limits_a_run_is_not_told_of_actors_that_have_gone() -> None:
