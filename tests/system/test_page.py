@@ -132,7 +132,8 @@ def _add(history: History, after_s: float, training: float, evaluation: float) -
     told = {"episode": training, "eval": evaluation}
     samples = {f'a2s_learner_{n}_info_mean{{metric="x"}}': v for n, v in told.items()}
     steps = {
-        'a2s_learner_gradient_steps_total{network="policy"}': 40.0,
+        'a2s_learner_gradient_steps_total{network="q"}': 40.0,
+        'a2s_learner_gradient_steps_total{network="policy"}': 20.0,
         "a2s_learner_updates_total": 2,
     }
     history.add(MIDNIGHT_S + after_s, samples | steps)

@@ -3,7 +3,8 @@
 const EVERY_MS = 2000, KEPT_S = 7200, RATE_S = 20, SILENT_S = 30;
 const COLOURS = ["#2f6fdb", "#d9480f", "#2b8a3e", "#ae3ec9", "#0c8599", "#e67700", "#c2255c", "#5c7cfa"];
 const L = "a2s_learner_", STEPS = `${L}env_steps_total`, RECOVERIES = `${L}recoveries_total`, TARGET = `${L}target_steps`;
-const UPDATES = `${L}updates_total`, GRADIENT_STEPS = `${L}gradient_steps_total{network="policy"}`; // the latter off-policy alone
+const UPDATES = `${L}updates_total`, GRADIENT_STEPS = `${L}gradient_steps_total{network="q"}`;
+const OF_POLICY = `${L}gradient_steps_total{network="policy"}`; // off-policy alone
 const PARTS = ["environment", "selection", "learner", "network"];
 const PANELS = [
   ["Return of an episode", [["training", "episode_return_mean"], ["least", "episode_return_min"],
@@ -119,7 +120,7 @@ function showRuns() {
       ["Return", last(run, `${L}episode_return_mean`), `${L}episode_return_mean`],
       ["Evaluation", last(run, `${L}eval_return_mean`), `${L}eval_return_mean`],
       ["Episodes", last(run, `${L}episodes_total`), `${L}episodes_total`],
-      GRADIENT_STEPS in run.series ? ["Gradient steps", last(run, GRADIENT_STEPS), GRADIENT_STEPS] : ["Updates", last(run, UPDATES), UPDATES],
+      OF_POLICY in run.series ? ["Gradient steps", last(run, GRADIENT_STEPS), GRADIENT_STEPS] : ["Updates", last(run, UPDATES), UPDATES],
       ["Version", last(run, `${L}weights_version`), `${L}weights_version`],
       ["Recoveries", last(run, RECOVERIES), RECOVERIES],
       ["Actors", last(run, `${L}actors`), `${L}actors`], ["Limited by", limit(run)],
