@@ -37,6 +37,7 @@ _OURS: dict[str, tuple[str, dict[str, object]]] = {
     f"a2s sac, {_FASTEST}, no LayerNorm": ("sac", {"layer_norm": False}),
     "a2s modern, f32": ("modern", {"precision": "f32"}),
     f"a2s modern, {_FASTEST}": ("modern", {}),
+    f"a2s modern, {_FASTEST}, policy_every 1": ("modern", {"policy_every": 1}),
     f"a2s sac, {_FASTEST}, {_TWO}": ("sac", {}),
 }
 _prepared: list[Callable[[], None]] = []  # in the process of a contender: its ten updates
