@@ -191,12 +191,14 @@ ADDED: dict[str, dict[str, object]] = {"off-policy": {"policy_every": 1, "short_
 def with_added(
     given: Mapping[str, object], variant: str, valid: Collection[str]
 ) -> dict[str, object]:
-    """Add later hyperparameters to a file that states all others: so was its run.
+    """Add the later hyperparameters that a file lacks which states all others: so was its run.
 
     The arguments are those of `without_removed`.
     """
     added, missing = ADDED.get(variant, {}), set(valid) - given.keys()
-    return {**given, **added} if missing == added.keys() else {**given}
+    if not missing <= added.keys():
+        return {**given}
+    return {**given, **{name: added[name] for name in missing}}
 
 
 def without_removed(

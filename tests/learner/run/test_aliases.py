@@ -110,6 +110,8 @@ def test_a_whole_file_of_before_a_setting_goes_on_without_it(tmp_path: Path) -> 
     file, written = tmp_path / "config.toml", assemble({"variant": "off-policy"}, {}).to_toml()
     file.write_text(written)
     assert read(file)[1]["short_steps"] == 200
+    file.write_text(written.replace("policy_every = 2\n", ""))
+    assert assemble(*read(file)).changed() == {"policy_every": 1}
     file.write_text(written.replace("short_steps = 200\n", "").replace("policy_every = 2\n", ""))
     assert assemble(*read(file)).changed() == {"short_steps": 0, "policy_every": 1}
     file.write_text("[run]\nvariant = 'off-policy'\n[hyper]\ntau = 0.5\n")
